@@ -21,9 +21,9 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import make_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 
@@ -67,9 +67,9 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
         time=np.arange(len(station), dtype=np.float64),
         readings=np.zeros((len(station), 3)),
     )
-    rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
-    state = State(position, rotation, points[names], np.zeros((1, 0)))
-    exact = MeasurementModel(recording, construction("ideal")).predict(state)
+    rotation = np.stack([rotation_about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
+    state = NetworkState(position, rotation, points[names], np.zeros((1, 0)))
+    exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 
@@ -83,7 +83,7 @@ def measured(case: Case) -> dict[str, float | str]:
     best = (np.inf, np.inf, np.inf)
     for _ in range(3):
         wall, start = time.perf_counter(), time.process_time()
-        found = adjust(recording, construction(built))
+        found = adjust(recording, make_construction(built))
         solved = time.process_time()
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses, redundancy = found.pose_covariance, found.redundancy
@@ -94,7 +94,7 @@ def measured(case: Case) -> dict[str, float | str]:
         raise RuntimeError("the statistics are not what they should be")
     return {
         "network": kind, "construction": built, "set_ups": stations, "targets": len(recording.targets),
-        "pointings": len(recording), "unknowns": found.problem.unknowns.size, "adjust_s": round(best[1], 3),
+        "pointings": len(recording), "unknowns": found.problem.unknowns.n_columns, "adjust_s": round(best[1], 3),
         "all_s": round(best[0], 3), "wall_s": round(best[2], 3),
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "before_mb": round(before), "sigma0": round(found.sigma0, 4),

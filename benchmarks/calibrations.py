@@ -33,17 +33,17 @@ from benchmarks.peers import (
     scipy_differences,
 )
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import BatchCalibrator, recording_of
-from ltsim.campaigns.judge import TrialEvaluator
-from ltsim.campaigns.rows import ShardTask, run_task, shard_rows
-from ltsim.campaigns.spec import Campaign
-from ltsim.campaigns.store import Store
-from ltsim.campaigns.truth import BLOCK, TrialBatch
+from ltsim.campaigns.engine import BatchCalibrator, recording_of_trial
+from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
+from ltsim.campaigns.spec import CampaignFile
+from ltsim.campaigns.store import CampaignFolder
+from ltsim.campaigns.trial_evaluation import TrialEvaluator
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import aligned
-from ltsim.physics.model.construction import misalignment
+from ltsim.core.notation import align_columns
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import load_scenario
 
 SEED = 11
@@ -61,47 +61,49 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
-    full, own, _ = engine.single.solved(recording_of(engine.truth, block, trial))
+    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.truth, block, trial))
     if full is None:
         return float("nan")
-    z = np.abs(values - own[0]) / engine.network.sigma_values[0]
-    gap = np.abs(on_points(points, full.state.points) - full.state.points) / engine.sigma_targets
+    z = np.abs(values - own[0]) / engine.batch_network.parameter_sigmas[0]
+    gap = np.abs(align_to_points(points, full.state.target_points) - full.state.target_points) / engine.target_sigmas
     return float(max(z.max(), gap.max()))
 
 
 def peers(trials: int) -> None:
     """The table of solvers."""
     truth = workshop()
-    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
-    block = truth.draw(SEED, 0)
+    engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
+    block = truth.draw_block(SEED, 0)
     found = engine.calibrate(block)
-    judge.before(block)
-    judge.after(block, found, engine.construction)
+    judge.common_columns(block)
+    judge.method_columns(block, found, engine.construction)
 
     def everything() -> None:
-        drawn = truth.draw(SEED, 1)
+        drawn = truth.draw_block(SEED, 1)
         fitted = engine.calibrate(drawn)
-        judge.before(drawn)
-        judge.after(drawn, fitted, engine.construction)
+        judge.common_columns(drawn)
+        judge.method_columns(drawn, fitted, engine.construction)
 
-    n, (*_, unknowns) = len(truth.recording), engine.network.sizes
+    n, (*_, unknowns) = len(truth.recording), engine.batch_network.end_indices
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
-    batch = seconds(lambda: engine.calibrate(block), 20) / BLOCK
+    batch = seconds(lambda: engine.calibrate(block), 20) / TRIALS_PER_STREAM
     agreement = max(
-        difference(engine, block, k, found.values[0, :, k], truth.state.points + found.points[:, :, k])
+        difference(
+            engine, block, k, found.instrument_values[0, :, k], truth.state.target_points + found.target_errors[:, :, k]
+        )
         for k in range(trials)
     )
-    whole = seconds(everything, 20) / BLOCK
-    drawn = seconds(lambda: (truth.draw(SEED, 1), engine.calibrate(block)), 20) / BLOCK
+    whole = seconds(everything, 20) / TRIALS_PER_STREAM
+    drawn = seconds(lambda: (truth.draw_block(SEED, 1), engine.calibrate(block)), 20) / TRIALS_PER_STREAM
     rows = [
         _row("ltsim batch: calibration", batch, batch, agreement),
         _row("ltsim batch: simulation and calibration", drawn, batch, agreement),
         _row("ltsim batch: with criteria and errors", whole, batch, agreement),
     ]
-    recordings = [recording_of(truth, block, k) for k in range(trials)]
+    recordings = [recording_of_trial(truth, block, k) for k in range(trials)]
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
-    known = [lambda r=r: adjust(r, engine.construction, start=engine.network.nominal) for r in recordings]
+    known = [lambda r=r: adjust(r, engine.construction, start=engine.batch_network.nominal_state) for r in recordings]
     rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))
     solvers: dict[str, Solver | None] = {
         "numpy Gauss-Newton, analytic": numpy_gauss_newton,
@@ -114,7 +116,7 @@ def peers(trials: int) -> None:
             print(f"{name}: left out, it is not installed (pip install pyceres)")
             continue
         rows.append(_peer(name, solver, engine, block, trials, batch))
-    print(aligned(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
+    print(align_columns(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
 
 
 def _peer(
@@ -123,7 +125,7 @@ def _peer(
     count = max(2, trials // 4) if "differences" in name else trials
     worst, least = 0.0, np.inf
     for k in range(count):
-        recording = recording_of(engine.truth, block, k)
+        recording = recording_of_trial(engine.truth, block, k)
         for _ in range(2):
             start = time.process_time()
             problem = DenseProblem(recording, engine.construction, engine.truth.state)
@@ -142,50 +144,50 @@ def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
 def parts() -> None:
     """Where the time of a trial goes."""
     truth = workshop()
-    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
-    network, block = engine.network, truth.draw(SEED, 0)
+    engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
+    network, block = engine.batch_network, truth.draw_block(SEED, 0)
     found = engine.calibrate(block)
-    x, predicted = network._linear_start(block.deviation, block.gauge_error)
-    gradient, cost = np.empty_like(x), np.empty(BLOCK)
+    x, predicted = network._first_step(block.reading_deviations, block.length_errors)
+    gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
-    raw = judge.clouds(block.deviation)
+    raw = judge.station_clouds(block.reading_deviations)
     steps: dict[str, Callable[[], object]] = {
-        "draw: normal numbers": lambda: rng.standard_normal(block.deviation.shape),
-        "draw: exact readings, two Newton steps": lambda: truth._exact(block.values),
-        "draw: everything": lambda: truth.draw(SEED, 0),
-        "calibrate: linear start": lambda: network._linear_start(block.deviation, block.gauge_error),
+        "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
+        "draw: exact readings, two Newton steps": lambda: truth._exact_deviations(block.instrument_values),
+        "draw: everything": lambda: truth.draw_block(SEED, 0),
+        "calibrate: linear start": lambda: network._first_step(block.reading_deviations, block.length_errors),
         "calibrate: residuals and gradient": lambda: network._gradient(
-            x, block.deviation, block.gauge_error, predicted, gradient, cost
+            x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
-        "judge: points of one set of parameters (three times)": lambda: judge.clouds(
-            block.deviation, engine.construction, found.values
+        "judge: points of one set of parameters (three times)": lambda: judge.station_clouds(
+            block.reading_deviations, engine.construction, found.instrument_values
         ),
-        "judge: both criteria (twice)": lambda: judge.criteria(raw, "before"),
+        "judge: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
         "judge: error against the truth (three times)": lambda: judge.cloud_error(raw),
     }
     print("\nWhere the time goes, us a trial:\n")
-    rows = [[name, f"{1e6 * seconds(step, 20) / BLOCK:.1f}"] for name, step in steps.items()]
-    print(aligned(["step", "us"], rows))
+    rows = [[name, f"{1e6 * seconds(step, 20) / TRIALS_PER_STREAM:.1f}"] for name, step in steps.items()]
+    print(align_columns(["step", "us"], rows))
 
 
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
-    truth, every = workshop(), np.arange(BLOCK)
-    batch, block = BatchDistance(truth, misalignment()), truth.draw(SEED, 0)
+    truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
+    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_block(SEED, 0)
     found = batch.calibrate(block, every)
-    worst = max(batch.difference(block, k, found) for k in range(3))
-    each = seconds(lambda: batch.calibrate(block, every), 5) / BLOCK
-    single = seconds(lambda: batch.single.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistance(truth, misalignment(), method="distance-l1"), np.arange(16)
+    worst = max(batch.largest_difference(block, k, found) for k in range(3))
+    each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
+    single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
+    absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
-    apart = max(absolute.difference(block, k, settled) for k in range(8))
+    apart = max(absolute.largest_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
-    alone = seconds(lambda: absolute.single.calibrate(block, np.array([0])), 3)
-    campaign = Campaign(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
+    alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
-    own = seconds(lambda: shard_rows(task), 3) / campaign.trials
-    shared = ShardTask(Campaign(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
+    own = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
+    shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
     written = seconds(lambda: run_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
     rows = [
@@ -196,7 +198,7 @@ def other_paths() -> None:
         ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
         ["geometry of its own for each trial, all included", f"{1e3 * own:.1f} ms", f"{1 / own:.0f}", ""],
     ]
-    print(aligned(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
+    print(align_columns(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
 
 
 def scaling(short: bool) -> None:
@@ -205,21 +207,22 @@ def scaling(short: bool) -> None:
     rows = []
     for stations, targets in sizes:
         truth = room(stations, targets)
-        engine = BatchCalibrator(truth, misalignment())
+        engine = BatchCalibrator(truth, misalignment_construction())
         start = time.process_time()
-        block = truth.draw(SEED, 0)
+        block = truth.draw_block(SEED, 0)
         engine.calibrate(block)
         prepared = time.process_time() - start
-        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / BLOCK  # type: ignore[misc]
-        recording = recording_of(truth, block, 0)
+        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / TRIALS_PER_STREAM  # type: ignore[misc]
+        recording = recording_of_trial(truth, block, 0)
         single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
         rows.append(
-            [str(stations), str(targets), str(engine.network.sizes[-1]), f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
+            [str(stations), str(targets), str(engine.batch_network.end_indices[-1]),
+             f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
              f"{single / each:.0f}", f"{prepared:.2f}"]
         )  # fmt: skip
     print("\nCost against the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
-    print(aligned(heads, rows, text_columns=0))
+    print(align_columns(heads, rows, text_columns=0))
 
 
 def trials_against_time(short: bool) -> None:
@@ -227,9 +230,9 @@ def trials_against_time(short: bool) -> None:
     scenario, rows = load_scenario("paper-workshop"), []
     with tempfile.TemporaryDirectory() as place, parallel_config(backend="loky", inner_max_num_threads=1):
         for shards in (2, 4, 16) if short else (2, 4, 16, 64):  # the first time the processes start and compile
-            campaign = Campaign(format="ltsim-campaign/1", trials=4096 * shards)
+            campaign = CampaignFile(format="ltsim-campaign/1", trials=4096 * shards)
             tasks = [ShardTask(campaign, scenario, "", 0, shard) for shard in range(shards)]
-            store, start = Store(Path(place) / str(shards)), time.perf_counter()
+            store, start = CampaignFolder(Path(place) / str(shards)), time.perf_counter()
             done = Parallel(n_jobs=2, return_as="generator")(delayed(run_task)(task) for task in tasks)
             for task, content in done:
                 store.write_shard(0, task.shard, content)
@@ -239,7 +242,7 @@ def trials_against_time(short: bool) -> None:
         "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
     )
     print("solver, written; two processes, wall clock\n")
-    print(aligned(["trials", "s", "trials a second"], rows[1:], text_columns=0))
+    print(align_columns(["trials", "s", "trials a second"], rows[1:], text_columns=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 

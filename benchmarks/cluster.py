@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 
 JOBS, SHARD, HUGE = 2, 8192, 10**9
 FILE = """
@@ -67,7 +67,7 @@ def digest(folder: Path) -> str:
 
 
 def measured(
-    name: str, file: Path, out: Path, workers: Workers, trials: int, each: Callable[[], None] = lambda: None
+    name: str, file: Path, out: Path, workers: WorkerSettings, trials: int, each: Callable[[], None] = lambda: None
 ) -> float:
     """Run a campaign and print what a trial took; give its seconds of the processor."""
     before, begun = processor_seconds(os.getpid()), time.perf_counter()
@@ -110,7 +110,7 @@ def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
 
         name = f"dask, {JOBS} workers" + (", one killed and replaced" if kill else "")
         out = folder / f"dask-{kill}"
-        measured(name, file, out, Workers(backend="dask", scheduler=str(cluster)), trials, each)
+        measured(name, file, out, WorkerSettings(backend="dask", scheduler=str(cluster)), trials, each)
 
 
 def main() -> None:
@@ -128,7 +128,7 @@ def main() -> None:
         print(
             "| who works | processor a trial | wall a trial | bytes a trial | digest of the rows |\n" + "|---" * 5 + "|"
         )
-        spent = measured(f"joblib, {JOBS} processes", file, folder / "local", Workers(JOBS), trials)
+        spent = measured(f"joblib, {JOBS} processes", file, folder / "local", WorkerSettings(JOBS), trials)
         on_cluster(folder, file, trials, kill=False)
         on_cluster(folder, file, trials, kill=True)
         size = sum(path.stat().st_size for path in (folder / "local").glob("rows/*/*.parquet")) / trials

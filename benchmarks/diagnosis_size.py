@@ -24,9 +24,9 @@ import ltsim as lt
 from benchmarks.adjust_size import network
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICRORADIAN
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import make_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup, Station
 
@@ -63,8 +63,8 @@ def watched(pointings: int) -> Recording:
         readings=np.zeros((pointings, 3)),
         covariates={f"joint_{k + 1}_deg": 60.0 * sway[:, k] for k in range(COLUMNS)},
     )
-    state = State(np.array([[0.0, 0.0, 1.6]]), about_z(0.0)[None], points, np.zeros((1, 0)))
-    exact = MeasurementModel(recording, construction("ideal")).predict(state)
+    state = NetworkState(np.array([[0.0, 0.0, 1.6]]), rotation_about_z(0.0)[None], points, np.zeros((1, 0)))
+    exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 

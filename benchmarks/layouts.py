@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from ltsim.core.randomness import stream
 from ltsim.planning.loading import load_plan
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.workshop import objective_of, site_of
+from ltsim.planning.workshop import layout_objective, make_search_space
 
 PROCESSES, BATCH, SECONDS, REPEATS = 2, 64, 4.0, 3
 Rate = tuple[int, float, float]
@@ -33,31 +33,31 @@ Rate = tuple[int, float, float]
 def searcher(faces: int) -> LayoutSearcher:
     """The search of the built-in plan."""
     file, scenario = load_plan("paper-workshop")
-    site = site_of(file, scenario, stations=5, faces=faces)
-    return LayoutSearcher(site, objective_of(file, site.survey))
+    site = make_search_space(file, scenario, stations=5, faces=faces)
+    return LayoutSearcher(site, layout_objective(file, site.survey))
 
 
 def from_scratch(search: LayoutSearcher, number: int) -> int:
     """A batch of layouts, everything computed anew; how many of them may be."""
-    draw, count = stream(2, "layouts", number), search.stations
-    grid = search.table(0).position
+    draw, count = stream(2, "layouts", number), search.n_stations
+    grid = search.grid_setups(0).setup_positions
     position = grid[draw.integers(0, len(grid), (BATCH, count))] + draw.uniform(-0.05, 0.05, (BATCH, count, 3))
     yaw = draw.uniform(0, 2 * np.pi, (BATCH, count))
     flat = position.reshape(-1, 3)
-    seen = search.site.visible(flat)
-    good = search.site.feasible(position, seen.reshape(BATCH, count, -1))
-    blocks = search.reducer.blocks(flat, yaw.ravel(), visible=seen)
-    reduced = search.reducer.reduce(blocks, np.arange(BATCH * count).reshape(BATCH, count))
-    values = search.objective.values(reduced, search.construction.size)
+    seen = search.search_space.is_visible(flat)
+    good = search.search_space.is_feasible(position, seen.reshape(BATCH, count, -1))
+    blocks = search.scorer.normal_blocks(flat, yaw.ravel(), visible=seen)
+    reduced = search.scorer.evaluate_layouts(blocks, np.arange(BATCH * count).reshape(BATCH, count))
+    values = search.objective.objective_values(reduced, search.construction.n_parameters)
     return int(np.sum(np.isfinite(values) & good))
 
 
 def exchanged(search: LayoutSearcher, number: int) -> int:
     """One station of a layout replaced by every set-up of the table."""
-    draw, table = stream(3, "exchange", number), search.table(0)
-    chosen = draw.integers(0, len(table.position), search.stations)
-    search.best_replacement(table.take(chosen), int(draw.integers(search.stations)), table)
-    return len(table.position)
+    draw, table = stream(3, "exchange", number), search.grid_setups(0)
+    chosen = draw.integers(0, len(table.setup_positions), search.n_stations)
+    search.best_replacement(table.select(chosen), int(draw.integers(search.n_stations)), table)
+    return len(table.setup_positions)
 
 
 def worker(kind: str, faces: int, number: int, together: Barrier, results: multiprocessing.Queue[Rate]) -> None:
@@ -69,7 +69,7 @@ def worker(kind: str, faces: int, number: int, together: Barrier, results: multi
         begin, used, done, round_ = time.perf_counter(), time.process_time(), 0, 0
         while time.perf_counter() - begin < SECONDS:
             step(search, 1_000 * number + round_)
-            done += BATCH if kind == "scratch" else len(search.table(0).position)
+            done += BATCH if kind == "scratch" else len(search.grid_setups(0).setup_positions)
             round_ += 1
         results.put((done, time.perf_counter() - begin, time.process_time() - used))
 

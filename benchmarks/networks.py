@@ -6,21 +6,21 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.truth import CellTruth, truth_of
+from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
-from ltsim.simulation.draws import TrialDraws
+from ltsim.simulation.draws import TrialDistributions
 from ltsim.simulation.scenario import load_scenario
 
 
 def workshop() -> CellTruth:
     """The paper's: 28 targets, 5 stations, one face."""
-    return truth_of(load_scenario("paper-workshop"), 1, "benchmark")
+    return make_cell_truth(load_scenario("paper-workshop"), 1, "benchmark")
 
 
 def room(stations: int, targets: int) -> CellTruth:
@@ -31,7 +31,7 @@ def room(stations: int, targets: int) -> CellTruth:
     height = 0.3 + 4.5 * (np.arange(targets - 4) + 0.5) / (targets - 4)
     mesh = np.stack([4 * np.cos(around), 4 * np.sin(around), height], axis=1)
     gauge = np.array([[2.9, 0.0, 0.3], [3.2, 0.1, 0.32], [2.95, 0.45, 0.3], [3.25, 0.5, 0.35]])
-    points, rotation = np.vstack([mesh, gauge]), np.array([about_z(float(a)) for a in turn])
+    points, rotation = np.vstack([mesh, gauge]), np.array([rotation_about_z(float(a)) for a in turn])
     station, target = (a.ravel() for a in np.meshgrid(np.arange(stations), np.arange(targets), indexing="ij"))
     local = np.einsum("nji,nj->ni", rotation[station], points[target] - position[station])
     face = np.ones(len(station), dtype=np.int64)
@@ -54,17 +54,17 @@ def room(stations: int, targets: int) -> CellTruth:
         time=np.arange(len(station), dtype=np.float64),
         readings=to_face(to_polar(local), face),
     )
-    built = misalignment()
-    state = State(position, rotation, points, np.zeros((1, built.size)))
+    built = misalignment_construction()
+    state = NetworkState(position, rotation, points, np.zeros((1, built.n_parameters)))
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = TrialDraws(
+    population = TrialDistributions(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
-        mean=0 * sigma,
-        sigma=sigma,
-        noise=recording.sigma(),
-        lengths=ReferenceLengths.of(recording),
-        names=names,
+        instrument_means=0 * sigma,
+        instrument_sigmas=sigma,
+        noise_sigmas=recording.sigma(),
+        reference_lengths=ReferenceLengths.from_recording(recording),
+        length_end_names=names,
     )
     return CellTruth(recording, state, population)

@@ -18,10 +18,10 @@ from scipy.optimize import least_squares
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 TOLERANCE = 1e-8
@@ -42,16 +42,16 @@ class DenseProblem:
 
     recording: Recording
     construction: Construction
-    start: State
+    start: NetworkState
     _seen: dict[bytes, tuple[Floats, ...]] = field(default_factory=dict)
 
     @cached_property
     def _start(self) -> tuple[Floats, Floats, Floats]:
-        return self.start.position, self.start.rotation, self.start.points
+        return self.start.station_positions, self.start.station_rotations, self.start.target_points
 
     @cached_property
     def _gauge(self) -> GaugeRows:
-        return GaugeRows.of(self.recording)
+        return GaugeRows.from_recording(self.recording)
 
     @cached_property
     def _sigma(self) -> Floats:
@@ -64,7 +64,7 @@ class DenseProblem:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return 6 * (len(self._start[0]) - 1) + self._start[2].size + self.construction.size
+        return 6 * (len(self._start[0]) - 1) + self._start[2].size + self.construction.n_parameters
 
     def state(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Positions, rotations, targets and parameters at unknowns (K,)."""
@@ -107,8 +107,8 @@ class DenseProblem:
         """Predicted less observed (m,), over sigma."""
         raw, _, _, points, values = self._evaluated(x)
         gap = raw - self.recording.readings
-        gap[:, 1:] = wrap(gap[:, 1:])
-        lengths = (self._gauge.predict(points) - self._gauge.length) / self._gauge.sigma
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
+        lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.sigma
         return np.concatenate([(gap / self._sigma).ravel(), lengths, values / self._prior_sigma])
 
     def jacobian(self, x: Floats) -> Floats:
@@ -132,10 +132,10 @@ class DenseProblem:
 
     def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
         gauge = self._gauge
-        unit = gauge.directions(points) / gauge.sigma[:, None]
+        unit = gauge.unit_vectors(points) / gauge.sigma[:, None]
         at = start + np.arange(len(gauge))[:, None]
-        design[at, poses + 3 * gauge.first[:, None] + np.arange(3)] = unit
-        design[at, poses + 3 * gauge.second[:, None] + np.arange(3)] = -unit
+        design[at, poses + 3 * gauge.first_targets[:, None] + np.arange(3)] = unit
+        design[at, poses + 3 * gauge.second_targets[:, None] + np.arange(3)] = -unit
 
 
 Solver = Callable[[DenseProblem], Floats]

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.campaigns import spec
-from ltsim.campaigns.paired import Paired
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.spec import Campaign, Cell, load_campaign
+from ltsim.campaigns.paired import PairedDifferences
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.spec import CampaignCell, CampaignFile, load_campaign
 from ltsim.reports.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,14 +73,14 @@ def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
         yield number, min(width, trials - number * width)
 
 
-def cells_of(given: Options) -> tuple[Campaign, Sequence[Cell]]:
+def cells_of(given: Options) -> tuple[CampaignFile, Sequence[CampaignCell]]:
     """The campaign of an experiment's `config.toml` with its cells."""
     file = given.here / "config.toml"
     found, scenarios = load_campaign(file, given.changes)
-    return found, spec.cells_of(found, scenarios, file)[1]
+    return found, spec.make_cells(found, scenarios, file)[1]
 
 
-def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Results:
+def campaign(file: str, given: Options, name: str = "", **changes: Any) -> CampaignResults:
     """Run an experiment's campaign file; its rows are kept as Parquet below the results, and `summary.csv` with them.
 
     `changes` are new values of keys of the file, by dotted key with `__` for a dot; `name` is that of their folder.
@@ -112,7 +112,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
             writer.writerow({k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in row.items()})
 
 
-def write_pairs(path: Path, *pairs: Paired) -> None:
+def write_pairs(path: Path, *pairs: PairedDifferences) -> None:
     """Differences on the same draws as one CSV table."""
     pd.concat([pair.to_dataframe() for pair in pairs]).to_csv(path, index=False)
 

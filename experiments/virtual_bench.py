@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.bench import BenchRecord, along_beam
+from ltsim.adjustment.evaluation.bench import BenchReadings, eccentricity_design
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE
@@ -33,7 +33,7 @@ LOBES = (2, 3, 5)
 class BenchTest:
     """What is true on the bench; SI."""
 
-    table: Floats = field(default_factory=lambda: np.array(PAPER_TABLE))
+    table: Floats = field(default_factory=lambda: np.array(PAPER_RANGE_ERRORS))
     """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `TABLE_ANGLES`."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""
@@ -54,22 +54,22 @@ class BenchTest:
 
 def vertex_table(axial: float, side: float, angles: Floats = TABLE_ANGLES) -> Floats:
     """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
-    return along_beam(angles) @ np.array([axial, side])
+    return eccentricity_design(angles) @ np.array([axial, side])
 
 
-def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:
+def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchReadings:
     """Do the test once: lengths at the table's angles, displacements of the surface at the probe's."""
 
     def noise(what: str, count: int) -> Floats:
         return stream(seed, *key, "bench", what).standard_normal(count)
 
-    lengths = bench.table + along_beam(TABLE_ANGLES) @ bench.eccentricity
+    lengths = bench.table + eccentricity_design(TABLE_ANGLES) @ bench.eccentricity
     turned = bench.probe_angles - PROBE
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
     phase = 2 * np.pi * stream(seed, *key, "bench", "lobes").random(len(LOBES))
     for lobes, start in zip(LOBES, phase, strict=True):
         surface = surface + bench.roundness * np.cos(lobes * turned + start)
-    return BenchRecord(
+    return BenchReadings(
         angles=TABLE_ANGLES,
         lengths=lengths + bench.length_sigma * noise("length", len(lengths)),
         probe_angles=bench.probe_angles,

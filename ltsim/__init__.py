@@ -22,8 +22,8 @@ if TYPE_CHECKING:
         history as history,
         verify as verify,
     )
+    from ltsim.campaigns.calibration_comparison import compare_calibrations as compare_calibrations
     from ltsim.campaigns.injection import inject as inject, injection_curve as injection_curve
-    from ltsim.campaigns.judging import judge as judge
     from ltsim.campaigns.recovery import recover as recover
     from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ltsim.planning.verbs import (
         next_measurement as next_measurement,
         plan as plan,
-        without_station as without_station,
+        station_alternatives as station_alternatives,
     )
     from ltsim.reports.verbs import report as report, view as view
     from ltsim.simulation.verbs import scenario as scenario, simulate as simulate
@@ -50,11 +50,11 @@ _MODULES = {
     "calibration.verbs": ("calibrate", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
-    "campaigns.judging": ("judge",),
+    "campaigns.calibration_comparison": ("compare_calibrations",),
     "campaigns.recovery": ("recover",),
     "campaigns.recovery_checks": ("recovery_checks",),
     "campaigns.injection": ("inject", "injection_curve"),
-    "planning.verbs": ("plan", "next_measurement", "without_station"),
+    "planning.verbs": ("plan", "next_measurement", "station_alternatives"),
     "reports.verbs": ("view", "report"),
     "physics.effects.verbs": ("Effect", "add_effect", "catalogue"),
     "measurands.verbs": ("compare", "uncertainty"),

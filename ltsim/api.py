@@ -9,7 +9,7 @@ from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_recording
-from ltsim.recordings.native import OBSERVATIONS
+from ltsim.recordings.native import OBSERVATIONS_FILE
 from ltsim.recordings.result_file import ResultFile, read_json, read_result, write_result
 
 
@@ -60,7 +60,7 @@ def _result_file(place: Path) -> Path | None:
     """The file of a result that a path names, itself or in a folder without a recording; None for a recording."""
     if place.is_file():
         return place if place.suffix == ".json" and not is_recording(place) else None
-    if (place / OBSERVATIONS).is_file():
+    if (place / OBSERVATIONS_FILE).is_file():
         return None
     from ltsim.reports.schemas import FILES  # which takes a second
 
@@ -77,9 +77,9 @@ def _read_result(file: Path) -> Any:
     if kind == Calibration.model_fields["format"].default:
         return read_calibration(file)
     if kind.startswith("ltsim-campaign-rows/"):
-        from ltsim.campaigns.results import Results
+        from ltsim.campaigns.results import CampaignResults
 
-        return Results(file.parent)  # the rows beside the manifest
+        return CampaignResults(file.parent)  # the rows beside the manifest
     model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)
@@ -190,6 +190,6 @@ def convert(
     """
     check_bounds(every=every, required="every")
     recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
-    recording = recording if every == 1 else recording.thinned(every)
+    recording = recording if every == 1 else recording.thin(every)
     write_recording(recording, destination, to)
     return recording

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points, on_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup, Target
 
@@ -40,7 +40,7 @@ def normals() -> Floats:
 class Truth:
     """What a test network was made with."""
 
-    state: State
+    state: NetworkState
     construction: Construction
 
 
@@ -54,7 +54,7 @@ def network(
     stations: int = 5,
 ) -> tuple[Recording, Truth]:
     """A recording of the reference workshop; noise is added where a seed is given."""
-    built = construction or misalignment()
+    built = construction or misalignment_construction()
     points = mesh()
     names = tuple(f"T{i + 1:02d}" for i in range(len(points)))
     rows = [
@@ -95,9 +95,9 @@ def network(
         time=20.0 * np.arange(len(rows)) + 600.0 * station,
         readings=np.full((len(rows), 3), np.nan),
     )
-    instrument = np.zeros(built.size) if values is None else values
-    rotation = np.stack([about_z(float(yaw)) for yaw in YAWS[:stations]])
-    state = State(STATIONS[:stations], rotation, points, instrument[None])
+    instrument = np.zeros(built.n_parameters) if values is None else values
+    rotation = np.stack([rotation_about_z(float(yaw)) for yaw in YAWS[:stations]])
+    state = NetworkState(STATIONS[:stations], rotation, points, instrument[None])
     readings = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(readings)
     if seed is not None:
@@ -109,27 +109,29 @@ def network(
 def drawn(construction: Construction, seed: int) -> Floats:
     """Instrument parameters drawn from their priors."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
-    return sigma * stream(seed, "instrument").standard_normal(construction.size)
+    return sigma * stream(seed, "instrument").standard_normal(construction.n_parameters)
 
 
 def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed: int = 11) -> Recording:
     """A recording, its noise times `noise`, of a tracker without errors and with an effect of known size [SI]."""
     recording, truth = network(faces=2)
-    model = MeasurementModel(recording, misalignment(), (effect,))
-    exact = model.predict(replace(truth.state, extra=np.array(values)))
+    model = MeasurementModel(recording, misalignment_construction(), (effect,))
+    exact = model.predict(replace(truth.state, extra_parameters=np.array(values)))
     white = stream(seed, "noise").standard_normal(exact.shape)
     return recording.with_readings(exact + noise * recording.sigma() * white)
 
 
 def share_removed(
     recording: Recording, points: Floats, construction: Construction, *, calibrated: Floats, true_parameters: Floats
-) -> ShareRemoved:
+) -> CalibrationErrors:
     """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
     sizes = (None, calibrated, true_parameters)
-    return ShareRemoved(*(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes))
+    return CalibrationErrors(
+        *(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes)
+    )
 
 
 def target_error(points: Floats, true_points: Floats) -> float:
     """Rms [m] over targets (T, 3) of the distance of adjusted targets to the truth, after one rigid fit."""
-    gap = on_points(points, true_points) - true_points
+    gap = align_to_points(points, true_points) - true_points
     return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=1))))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.scene.meshes import Obstacles, box, cylinder, transformed
+from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, place_triangles
 
 HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
 
@@ -60,13 +60,16 @@ def test_a_cad_file_needs_no_extra(plain_install, tmp_path: Path, monkeypatch, c
 
 
 def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
-    bodies = [box(np.array([1.0, 2.0, 3.0])), transformed(cylinder(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3)]
+    bodies = [
+        box_triangles(np.array([1.0, 2.0, 3.0])),
+        place_triangles(cylinder_triangles(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3),
+    ]
     obstacles = Obstacles(np.concatenate(bodies))
     rng = np.random.default_rng(2)
     origins, ends = rng.uniform(-5, 5, (2, 300, 3))
-    blocked = obstacles.blocked(origins, ends)
+    blocked = obstacles.is_blocked(origins, ends)
     assert 5 < blocked.sum() < 150
-    inside = obstacles.holds(np.array([[0.4, 0.9, 2.9], [0.6, 0.0, 1.0], [3.4, 0.0, 1.0], [3.6, 0.0, 1.0]]))
+    inside = obstacles.is_inside_body(np.array([[0.4, 0.9, 2.9], [0.6, 0.0, 1.0], [3.4, 0.0, 1.0], [3.6, 0.0, 1.0]]))
     assert inside.tolist() == [True, False, True, False]
 
 

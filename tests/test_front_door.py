@@ -15,7 +15,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, ModelError, RecordError, SetupError
-from ltsim.core.results import MAX_SHOWN, Result
+from ltsim.core.results import MAX_NOTEBOOK_ROWS, Result
 
 SMALL_PLAN = """
 format = "ltsim-plan/1"
@@ -71,7 +71,7 @@ def test_a_verb_stays_callable_when_the_room_of_its_name_was_imported():
     assert len(lt.simulate("paper-workshop", seed=7).recording) == 140
 
 
-@pytest.mark.parametrize("name", sorted(set(VERBS) - {"injection_curve", "without_station"}))  # minutes each
+@pytest.mark.parametrize("name", sorted(set(VERBS) - {"injection_curve", "station_alternatives"}))  # minutes each
 def test_every_function_has_an_example(name: str):
     function = lt._load(name)  # the attribute may be a room of that name, which can be called too
     assert f"{function.__module__}.{name}" in EXAMPLES
@@ -101,8 +101,8 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
     hostile = recording.setup.model_copy(update={"title": "<script>alert(1)</script>"})
     page = replace(recording, setup=hostile)._repr_html_()
     assert "<script>" not in page
-    assert page.count("<tr>") == MAX_SHOWN + 1
-    assert f"and {len(recording) - MAX_SHOWN} more rows" in page
+    assert page.count("<tr>") == MAX_NOTEBOOK_ROWS + 1
+    assert f"and {len(recording) - MAX_NOTEBOOK_ROWS} more rows" in page
 
 
 def test_an_empty_table_is_shown_as_nothing():
@@ -165,7 +165,7 @@ def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
     words = lt.calibrate(recording, with_effects="index-drift:S3", parameters="beam-tilt", advise=False)
     made = lt.calibrate(recording, with_effects=lt.Effect("index-drift", stations="S3"), parameters=["beam-tilt"])
     assert words.effects == made.effects
-    assert int((~words.held).sum()) == 1
+    assert int((~words.is_fixed).sum()) == 1
     assert lt.adjust(recording, datum=["T01", "T05", "T12"]).frame.endswith("T01, T05, T12")
     with pytest.raises(ModelError, match="no constant called 'colour'"):
         lt.Effect("index-drift", colour="red")
@@ -183,7 +183,7 @@ def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
 def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
     calibration = lt.calibrate(recording, advise=False)
     lt.write(calibration, tmp_path / "folder")
-    assert lt.read(tmp_path / "folder").names == calibration.names
+    assert lt.read(tmp_path / "folder").names == calibration.instrument_parameter_names
     truth = lt.simulate("paper-workshop").truth
     lt.write(truth, tmp_path / "truth.json")
     assert lt.read(tmp_path / "truth.json").construction == truth.construction

@@ -11,8 +11,8 @@ from from_code.pictures import Pictures
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.core.units import DEGREE, FACTOR, MICROMETRE
-from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, card_of
+from ltsim.core.units import DEGREE, MICROMETRE, SI_PER_UNIT
+from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, catalogue_entry
 from ltsim.reports.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import load_scenario
@@ -38,18 +38,21 @@ def cards(pictures: Pictures, _lines: list[str]) -> str:
         if entry.group != group:
             group = entry.group
             lines += ["", f"## {group[0].upper()}{group[1:]}", ""]
-        lines += _card(entry.kind, pictures)
+        lines += _card(entry.effect_class, pictures)
     return "\n".join(lines)
 
 
 def _card(kind: type[Effect], pictures: Pictures) -> list[str]:
-    card = card_of(kind)
-    lines = ["", f"### {kind.name}", "", f"**{card.title}**: {_text(card.cause)}.", ""]
-    lines += [_law(card.law), ""]
-    lines += [f"{name}\n: {_text(text)}\n" for name, text in card.parts()]
-    sizes = [[f"`{p.name}`", f"{p.prior_sigma / p.factor:.3g}", p.unit, _text(p.meaning)] for p in kind.parameters]
+    card = catalogue_entry(kind)
+    lines = ["", f"### {kind.name}", "", f"**{card.title}**: {_text(card.cause_description)}.", ""]
+    lines += [_law(card.equation), ""]
+    lines += [f"{name}\n: {_text(text)}\n" for name, text in card.sections()]
+    sizes = [
+        [f"`{p.name}`", f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, _text(p.description)]
+        for p in kind.parameters
+    ]
     lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
-    lines += ["", *markdown(["constant", "searched", "unit", "meaning"], [_constant(s) for s in kind.shape])]
+    lines += ["", *markdown(["constant", "searched", "unit", "meaning"], [_constant(s) for s in kind.shape_parameters])]
     return lines + _signature(kind, pictures)
 
 
@@ -61,8 +64,8 @@ def _law(law: str) -> str:
 
 
 def _constant(shape: ShapeParameter) -> list[str]:
-    low, high = shape.low / FACTOR[shape.unit], shape.high / FACTOR[shape.unit]
-    return [f"`{shape.name}`", f"{low:.4g} to {high:.4g}", shape.unit, _text(shape.meaning)]
+    low, high = shape.lower_bound / SI_PER_UNIT[shape.unit], shape.upper_bound / SI_PER_UNIT[shape.unit]
+    return [f"`{shape.name}`", f"{low:.4g} to {high:.4g}", shape.unit, _text(shape.description)]
 
 
 def _text(text: str) -> str:
@@ -78,7 +81,7 @@ def _space() -> ResidualSpace:
     recording, _ = simulate(load_scenario(SCENARIO), SEED)
     adjustment = lt.adjust(recording).adjustment
     assert isinstance(adjustment, Adjustment)
-    return ResidualSpace.of(adjustment)
+    return ResidualSpace.from_adjustment(adjustment)
 
 
 def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
@@ -89,12 +92,12 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
     effect = effects[len(effects) // 2] if effects else None
     if effect is None or not np.any(moved := _displacement(effect, sightings)):
         return []
-    first = space.signature(effect)[:, :1]
+    first = space.whitened_signature(effect)[:, :1]
     whole = float(np.sum(first**2))
     share = float(np.sum(space.project(first) ** 2)) / whole if whole else 0.0
     parameter, place = effect.parameters[0], ", ".join(effect.stations + effect.targets)
     words = (
-        f"{parameter.prior_sigma / parameter.factor:.3g} {parameter.unit} of `{parameter.name}`"
+        f"{parameter.prior_sigma / parameter.si_per_display_unit:.3g} {parameter.unit} of `{parameter.name}`"
         f"{f' at {place}' if place else ''}, seen from one station of the paper's workshop. "
         f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of its squared size."
     )

@@ -6,21 +6,21 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
-from ltsim.adjustment.evaluation.clouds import in_first_frame, on_points
+from ltsim.adjustment.evaluation.clouds import align_to_first_station, align_to_points
 from ltsim.adjustment.evaluation.criteria import (
-    Differences,
+    StationDisagreement,
     coordinate_differences,
     coordinate_errors,
     distance_differences,
     distance_errors,
 )
 from ltsim.campaigns.rows import CellContext, TrialBlock
-from ltsim.campaigns.spec import Campaign, Cell
+from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
-from ltsim.simulation.gauge import nominal_points
+from ltsim.simulation.gauge import measure_nominal_points
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
@@ -33,7 +33,9 @@ TABLES = {
 """Tables 3 and 4 of the paper [um, %]."""
 
 
-def named(distance: Differences, coordinate: Differences, length: float, place: float) -> dict[str, float]:
+def named(
+    distance: StationDisagreement, coordinate: StationDisagreement, length: float, place: float
+) -> dict[str, float]:
     """Both criteria [um], with the largest of all single terms, before any average."""
     ends = (("distance", distance, length), ("coordinate", coordinate, place))
     sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
@@ -49,7 +51,7 @@ def pair_distances(cloud: Floats) -> Floats:
 
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:
     """Both criteria of clouds (S, T, 3) [m]."""
-    lengths, placed = pair_distances(clouds), in_first_frame(clouds, names)
+    lengths, placed = pair_distances(clouds), align_to_first_station(clouds, names)
     gaps, apart = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
     return named(distance_differences(clouds), coordinate_differences(placed), np.abs(gaps).max(), apart.max())
 
@@ -57,28 +59,34 @@ def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]
 def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
     """Equations 13 and 14 as meant, of clouds (S, T, 3) [m] against nominal points (T, 3) [m]."""
     gaps = pair_distances(clouds) - pair_distances(nominal)
-    miss = [np.linalg.norm(on_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
+    miss = [np.linalg.norm(align_to_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
     return named(distance_errors(clouds, nominal), coordinate_errors(clouds, nominal), np.abs(gaps).max(), max(miss))
 
 
-def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataFrame]:
+def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, str], pd.DataFrame]:
     """Trials of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
-    ready = CellContext(campaign, cell.scenario, cell.judge)
+    ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
-    for here, calibrators, block in ready.blocks(0, campaign.trials):
+    for here, calibrators, block in ready.trial_blocks(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = TrialBlock(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
-        assert work.new_points is not None
-        assert cell.judge is not None
-        there, elsewhere, _ = work.new_points
+        work = TrialBlock(campaign, here, block, ready.validation_geometry, wanted, wanted[:0])
+        assert work.validation_block is not None
+        assert cell.validation_scenario is not None
+        there, elsewhere, _ = work.validation_block
         room, names = there.truth, here.truth.recording.stations
-        true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
-        nominal = {i: nominal_points(*true, int(block.trials[i])) for i in wanted}
+        true = (
+            room.state.target_points,
+            room.recording.targets,
+            cell.validation_scenario.cmm,
+            campaign.seed,
+            "nominal",
+        )
+        nominal = {i: measure_nominal_points(*true, int(block.trials[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
-            values = calibrator.calibrate(block, wanted).values
+            values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
-                raw = judge.clouds(own.deviation)
-                corrected = judge.clouds(own.deviation, calibrator.construction, values)
+                raw = judge.station_clouds(own.reading_deviations)
+                corrected = judge.station_clouds(own.reading_deviations, calibrator.construction, values)
                 for i in wanted:
                     row = {}
                     for when, clouds in (("before", raw), ("after", corrected)):
@@ -124,7 +132,7 @@ def figure_rows(columns: pd.DataFrame, table: str) -> list[TrialDistribution]:
 
 def run(given: Options) -> Made:
     campaign, cells = cells_of(given)
-    found = list(parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
+    found = list(run_parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [
             row

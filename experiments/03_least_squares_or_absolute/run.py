@@ -7,17 +7,17 @@ import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.evaluation.clouds import on_points
-from ltsim.campaigns.engine import Calibrated, recording_of
+from ltsim.adjustment.evaluation.clouds import align_to_points
+from ltsim.campaigns.engine import CalibratedBlock, recording_of_trial
 from ltsim.campaigns.rows import CellContext, TrialBlock
-from ltsim.campaigns.spec import Campaign, Cell
+from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
@@ -32,34 +32,34 @@ class WithoutOutliers:
 
     def __init__(self, truth: CellTruth) -> None:
         self.truth = truth
-        self.construction: Construction = misalignment()
+        self.construction: Construction = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
         """Calibrate a block trial by trial."""
-        count, true = block.deviation.shape[2], self.truth.state.points
-        values, points = np.zeros((1, self.construction.size, count)), np.zeros((*true.shape, count))
+        count, true = block.reading_deviations.shape[2], self.truth.state.target_points
+        values, points = np.zeros((1, self.construction.n_parameters, count)), np.zeros((*true.shape, count))
         chi2 = np.zeros(count)
         for i in wanted:
-            adjustment = self.cleaned(recording_of(self.truth, block, int(i)))
-            values[0, :, i] = adjustment.state.instrument[0]
-            points[:, :, i] = on_points(adjustment.state.points, true) - true
+            adjustment = self.cleaned(recording_of_trial(self.truth, block, int(i)))
+            values[0, :, i] = adjustment.state.instrument_parameters[0]
+            points[:, :, i] = align_to_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
-        return Calibrated(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
+        return CalibratedBlock(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 
     def cleaned(self, recording: Recording) -> Adjustment:
         """The adjustment that no reading contradicts any more."""
         use = np.ones(recording.readings.shape, dtype=bool)
-        adjustment = adjust(recording, self.construction, use=use)
+        adjustment = adjust(recording, self.construction, reading_mask=use)
         for _ in range(MOST_REMOVED):
-            found = adjustment.outliers()
+            found = adjustment.flagged_readings()
             if not found:
                 break
-            use[found[0].row, found[0].observable] = False
-            adjustment = adjust(recording, self.construction, use=use, start=adjustment.state)
+            use[found[0].row, found[0].observable_column] = False
+            adjustment = adjust(recording, self.construction, reading_mask=use, start=adjustment.state)
         return adjustment
 
-    def difference(self, block: TrialBatch, trial: int, found: Calibrated) -> float:
+    def difference(self, block: TrialBatch, trial: int, found: CalibratedBlock) -> float:
         """It is the full solver."""
         return float("nan")
 
@@ -67,34 +67,34 @@ class WithoutOutliers:
 def with_outliers(truth: CellTruth, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
     draw = stream(seed, "outliers", int(block.trials[0]))
-    shape = block.deviation.shape
+    shape = block.reading_deviations.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
     size = draw.uniform(*SIZE, shape)
     sightings = truth.sightings
     across = sightings.range_ * np.cos(sightings.elevation)
     reach = np.stack([np.ones_like(across), across, sightings.range_], axis=1)
     shift = np.where(chance < percent / 100.0, sign * size / reach[:, :, None], 0.0)
-    return replace(block, deviation=block.deviation + shift)
+    return replace(block, reading_deviations=block.reading_deviations + shift)
 
 
-def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, pd.DataFrame]:
+def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dict[str, pd.DataFrame]:
     """Columns by method, with a share of outliers."""
-    ready = CellContext(campaign, cell.scenario, cell.judge)
+    ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     parts: dict[str, list[pd.DataFrame]] = {}
-    for here, calibrators, clean in ready.blocks(0, campaign.trials):
+    for here, calibrators, clean in ready.trial_blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = TrialBlock(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
+        work = TrialBlock(campaign, here, block, ready.validation_geometry, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
-            columns = {name: own[wanted] for name, own in work.columns(calibrator).items()}
+            columns = {name: own[wanted] for name, own in work.method_columns(calibrator).items()}
             parts.setdefault(title, []).append(pd.DataFrame(columns))
     return {title: pd.concat(own) for title, own in parts.items()}
 
 
 def run(given: Options) -> Made:
     campaign, (cell,) = cells_of(given)
-    found = list(parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
+    found = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
     table, rows = [], []
     for percent, methods in zip(PERCENT, found, strict=True):
         for title, columns in methods.items():

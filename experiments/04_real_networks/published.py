@@ -70,10 +70,10 @@ def beside(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
     for name, axis in zip(theirs.names, theirs.axis, strict=True):
         if name in recording.targets:
             at = recording.targets.index(name)
-            found.append((ours.state.points[at, axis], ours.target_covariance[at, axis, axis]))
+            found.append((ours.state.target_points[at, axis], ours.target_covariance[at, axis, axis]))
         else:
-            at = marks.names.index(name)
-            place = ours.state.position[at] - marks.offset[at]
+            at = marks.mark_names.index(name)
+            place = ours.state.station_positions[at] - marks.instrument_offsets[at]
             found.append((place[axis], ours.pose_covariance[at, axis, axis]))
     value, variance = np.array(found).T
     return value, np.sqrt(variance)

@@ -17,15 +17,15 @@ from experiments.common import Made, Options, run_steps, show_table, tell
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import Choice
+from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects import BASELINE
-from ltsim.physics.model.construction import ideal, misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings import Recording, read
 from ltsim.recordings.recording import HEIGHT_COLUMNS, OBSERVABLES
 
@@ -74,7 +74,7 @@ def own(out: Path) -> None:
             )
             continue
         off = 1e6 * float(np.abs(beside(ours, theirs)[0] - theirs.value).max())
-        agree = ours.solution.converged and off < AGREE_UM
+        agree = ours.solution.has_converged and off < AGREE_UM
         found.setdefault("agree" if agree else "differ", []).append((file.stem, off))
     show_table(out / "gama_own.csv", [
         {
@@ -107,28 +107,30 @@ def to_marks(ours: Adjustment) -> Recording:
         setup=recording.setup.model_copy(update={"targets": targets, "stations": stations}),
         covariates={k: v for k, v in recording.covariates.items() if k not in HEIGHT_COLUMNS},
     )
-    marks = ours.state.position - ours.problem.marks.offset
-    state = State(marks, ours.state.rotation, ours.state.points, ours.state.instrument)
-    return flat.with_readings(MeasurementModel(flat, ideal()).predict(state) + ours.residuals)
+    marks = ours.state.station_positions - ours.problem.marks.instrument_offsets
+    state = NetworkState(
+        marks, ours.state.station_rotations, ours.state.target_points, ours.state.instrument_parameters
+    )
+    return flat.with_readings(MeasurementModel(flat, ideal_construction()).predict(state) + ours.residuals)
 
 
 def best_turns(ours: Adjustment, name: str) -> float:
     """Least sum of squares with all points at the coordinates that gama-local printed."""
     theirs, recording, marks = gama_result(name), ours.recording, ours.problem.marks
-    points, position = ours.state.points.copy(), ours.state.position.copy()
+    points, position = ours.state.target_points.copy(), ours.state.station_positions.copy()
     for point, axis, value in zip(theirs.names, theirs.axis, theirs.value, strict=True):
         if point in recording.targets:
             points[recording.targets.index(point), axis] = value
-        for s, mark in enumerate(marks.names):
+        for s, mark in enumerate(marks.mark_names):
             if mark == point:
-                position[s, axis] = value + marks.offset[s, axis]
-    state = State(position, ours.state.rotation, points, ours.state.instrument)
-    free = np.isin(np.arange(ours.problem.unknowns.size), ours.problem.unknowns.pose[:, 3:])
+                position[s, axis] = value + marks.instrument_offsets[s, axis]
+    state = NetworkState(position, ours.state.station_rotations, points, ours.state.instrument_parameters)
+    free = np.isin(np.arange(ours.problem.unknowns.n_columns), ours.problem.unknowns.pose_columns[:, 3:])
 
     def residual(turns: np.ndarray) -> np.ndarray:
         step = np.zeros(len(free))
         step[free] = turns
-        return ours.problem.residual(ours.problem.retract(state, step))
+        return ours.problem.whitened_residuals(ours.problem.retract(state, step))
 
     return float(2 * least_squares(residual, np.zeros(free.sum()), xtol=1e-12, ftol=1e-12).cost)
 
@@ -170,15 +172,16 @@ def state_of(found: Adjustment) -> dict[str, object]:
     recording = found.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
-        "left_out": int(found.rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
-        "outliers_w": len(found.outliers()), "outliers_tau": len(found.outliers(estimated=True)),
+        "left_out": int(found.is_rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
+        "outliers_w": len(found.flagged_readings()),
+        "outliers_tau": len(found.flagged_readings(uses_estimated_noise=True)),
     }  # fmt: skip
 
 
 def what_does_not_fit(found: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
-    for i, j in np.argwhere(found.rejected):
+    for i, j in np.argwhere(found.is_rejected):
         miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
         rows.append({
             "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
@@ -193,7 +196,8 @@ def components(found: Adjustment) -> Rows:
     """Variance components with instruments numbered."""
     number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
     return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.factor:.3f}",
-             "sigma": f"{c.sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"} for c in found.components]  # fmt: skip
+             "sigma": f"{c.factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
+            for c in found.variance_components]  # fmt: skip
 
 
 RING = "field/esrf.lgc2"
@@ -204,9 +208,9 @@ CLEAR = 8.0
 def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
     recording = read(DATA / RING)
-    space = ResidualSpace.of(adjust(recording, misalignment()))
-    left = np.full(space.use.shape, np.nan)
-    left[space.use] = space.residual[: int(space.use.sum())]
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
+    left = np.full(space.used_readings.shape, np.nan)
+    left[space.used_readings] = space.residuals[: int(space.used_readings.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):
@@ -238,22 +242,23 @@ def geoeasy(out: Path) -> None:
     """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
     recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
-    for name, built in (("none", ideal()), ("16", misalignment())):
+    for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
-            factors = {c.observable: f"{c.factor:.2f}" for c in found.components}
+            factors = {c.observable: f"{c.factor:.2f}" for c in found.variance_components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
-    values, sigma = found.state.instrument[0], np.sqrt(np.diag(found.instrument_covariance))
+    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
-        {"parameter": p.name, "value": f"{v / p.factor:.2f}", "sigma": f"{s / p.factor:.2f}", "unit": p.unit}
+        {"parameter": p.name, "value": f"{v / p.si_per_display_unit:.2f}", "sigma": f"{s / p.si_per_display_unit:.2f}",
+         "unit": p.unit}
         for p, v, s in zip(built.parameters, values, sigma, strict=True) if abs(v) > 3 * s
     ])  # fmt: skip
 
 
 FIRST_ORDER = [e for e in BASELINE if set(SCANNER_TRUTH) & {p.name for p in e.parameters}]
 PARAMETERS = [p for e in FIRST_ORDER for p in e.parameters]
-UNITS = np.array([p.factor for p in PARAMETERS])
+UNITS = np.array([p.si_per_display_unit for p in PARAMETERS])
 TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
 
 
@@ -264,9 +269,9 @@ def scanner_truth(out: Path) -> None:
         recording = scanner(known)
         errors = np.array([fitted(rounded(trial), known)[0] - TRUTH for trial in range(80)])
         found, sigma = fitted(recording, known)
-        exact = adjust(recording, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS
+        exact = adjust(recording, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS
         made_again = rounded(None) if known else without_points(rounded(None))
-        form = adjust(made_again, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS - TRUTH
+        form = adjust(made_again, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS - TRUTH
         gap = found - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
         for k, p in enumerate(PARAMETERS):
@@ -285,8 +290,8 @@ def choice_of_parameters(known: bool) -> Rows:
     """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
     recording = scanner(known)
     every, four = (
-        calibrate_network(recording, advise=False, weigh=False, choice=choice)
-        for choice in (Choice(), Choice(parameters=tuple(SCANNER_TRUTH)))
+        calibrate_network(recording, recommend_measurements=False, choose_correction=False, parameter_selection=choice)
+        for choice in (ParameterSelection(), ParameterSelection(estimated_parameters=tuple(SCANNER_TRUTH)))
     )
     rows: Rows = []
     for p in PARAMETERS:
@@ -294,10 +299,10 @@ def choice_of_parameters(known: bool) -> Rows:
                                   "truth": SCANNER_TRUTH[p.name]}  # fmt: skip
         sigmas = []
         for label, found in (("16", every), ("4", four)):
-            k = found.names.index(p.name)
+            k = found.instrument_parameter_names.index(p.name)
             sigmas.append(found.sigma[0, k])
-            row[f"found_{label}"] = f"{found.values[0, k] / p.factor:.1f}"
-            row[f"sigma_{label}"] = f"{sigmas[-1] / p.factor:.2f}"
+            row[f"found_{label}"] = f"{found.estimates[0, k] / p.si_per_display_unit:.1f}"
+            row[f"sigma_{label}"] = f"{sigmas[-1] / p.si_per_display_unit:.2f}"
         rows.append(row | {"sigma_ratio": f"{sigmas[0] / sigmas[1]:.1f}"})
     return rows
 
@@ -305,7 +310,7 @@ def choice_of_parameters(known: bool) -> Rows:
 def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and their standard deviations, to first order."""
     found = adjust(recording if known else without_points(recording), effects=FIRST_ORDER)
-    return found.state.extra / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
+    return found.state.extra_parameters / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
 
 
 def without_points(recording: Recording) -> Recording:
@@ -323,11 +328,12 @@ def rounded(trial: int | None) -> Recording:
     start = adjust(base, effects=FIRST_ORDER).state
     objects = {n: np.array(base.target_setup(n).known_mm) * MILLIMETRE for n in base.targets}
     moved = np.zeros((2, 2, 3)) if trial is None else stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
-    state = State(
-        start.position + moved[0], from_rotation_vector(moved[1]) @ start.rotation, np.array(list(objects.values())),
+    state = NetworkState(
+        start.station_positions + moved[0], from_rotation_vector(moved[1]) @ start.station_rotations,
+        np.array(list(objects.values())),
         np.zeros((1, 0)), TRUTH * UNITS,
     )  # fmt: skip
-    local = from_polar(MeasurementModel(base, ideal(), tuple(FIRST_ORDER)).predict(state))
+    local = from_polar(MeasurementModel(base, ideal_construction(), tuple(FIRST_ORDER)).predict(state))
     local = local if trial is None else np.round(local, 4)
     scans = [{base.targets[t]: local[i] for i, t in enumerate(base.target) if base.station[i] == s} for s in range(2)]
     return scanner_recording(scans, objects, True)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_pairs, write_table
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.reports.figures.campaign import by_setting, swept
 from ltsim.reports.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -25,9 +25,9 @@ AZIMUTHS = np.arange(0.0, 360.0, 15.0) * DEGREE
 
 def displacements(scenario: Scenario, elevation: Floats, distance: float) -> Floats:
     """(e, p) [m]: rms over azimuth of the shift of a point by one prior sigma of each error."""
-    built = misalignment()
+    built = misalignment_construction()
     grid = np.array([[distance, a, e] for e in elevation for a in AZIMUTHS])
-    change = built.reading_design(grid, np.zeros(built.size))[1]
+    change = built.reading_design(grid, np.zeros(built.n_parameters))[1]
     reach = np.stack([np.ones(len(grid)), distance * np.cos(grid[:, 2]), np.full(len(grid), distance)], axis=1)
     sigma = np.array([p.sigma_from(scenario.instrument.prior) for p in built.parameters])
     moved = np.linalg.norm(change * reach[:, :, None], axis=1) * sigma
@@ -40,7 +40,7 @@ def sensitivity_rows(scenario: Scenario) -> list[Row]:
     moved = displacements(scenario, np.array(ELEVATIONS) * DEGREE, RANGE_M) / MICROMETRE
     return [
         {"error": parameter.name, "elevation_deg": elevation, "shift_um": round(float(moved[i, k]), 3)}
-        for k, parameter in enumerate(misalignment().parameters)
+        for k, parameter in enumerate(misalignment_construction().parameters)
         for i, elevation in enumerate(ELEVATIONS)
     ]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
-from ltsim.adjustment.evaluation.bench import BenchResult, as_vertex, evaluate_bench
+from ltsim.adjustment.evaluation.bench import BenchEstimates, evaluate_bench, fit_vertex_offset
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE
@@ -21,14 +21,14 @@ def table_of(reflector: dict[str, Any]) -> Floats:
     return vertex_table(reflector.get("axial_um", 0.0) * MICROMETRE, reflector.get("side_um", 0.0) * MICROMETRE)
 
 
-def trial(table: Floats, eccentricity: float, probe: Floats, seed: int, number: int) -> BenchResult:
+def trial(table: Floats, eccentricity: float, probe: Floats, seed: int, number: int) -> BenchEstimates:
     """One test of a reflector whose sphere is off the table's axis by `eccentricity` [m] in a drawn direction."""
     way = 2 * np.pi * stream(seed, "direction", number).random()
     off = eccentricity * np.array([np.cos(way), np.sin(way)])
     return evaluate_bench(measure_bench(BenchTest(table=table, eccentricity=off, probe_angles=probe), seed, number))
 
 
-def row_of(results: list[BenchResult], table: Floats) -> dict[str, float]:
+def row_of(results: list[BenchEstimates], table: Floats) -> dict[str, float]:
     """How far the found tables are from the one put in [um], and the explanation by a vertex."""
     true = table - table[MIDDLE]
 
@@ -38,24 +38,24 @@ def row_of(results: list[BenchResult], table: Floats) -> dict[str, float]:
     def at_edge(found: list[Floats]) -> float:
         return float(np.percentile(np.abs(np.array(found) - true).max(axis=1), 95)) / MICROMETRE
 
-    vertices = [as_vertex(TABLE_ANGLES, r.table, float(r.sigma.max())) for r in results]
+    vertices = [fit_vertex_offset(TABLE_ANGLES, r.range_errors, float(r.range_error_sigmas.max())) for r in results]
     return {
         "run_out_um": float(np.mean([r.run_out for r in results])) / MICROMETRE,
-        "rms_uncorrected_um": rms([r.uncorrected for r in results]),
-        "rms_corrected_um": rms([r.table for r in results]),
-        "worst_95_uncorrected_um": at_edge([r.uncorrected for r in results]),
-        "worst_95_corrected_um": at_edge([r.table for r in results]),
-        "vertex_side_um": float(np.mean([v.side for v in vertices])) / MICROMETRE,
-        "vertex_axial_um": float(np.mean([v.axial for v in vertices])) / MICROMETRE,
-        "left_by_vertex_um": float(np.mean([v.remainder for v in vertices])) / MICROMETRE,
+        "rms_uncorrected_um": rms([r.uncorrected_lengths for r in results]),
+        "rms_corrected_um": rms([r.range_errors for r in results]),
+        "worst_95_uncorrected_um": at_edge([r.uncorrected_lengths for r in results]),
+        "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
+        "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
+        "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
+        "left_by_vertex_um": float(np.mean([v.remaining_rms for v in vertices])) / MICROMETRE,
     }
 
 
-def panel(name: str, table: Floats, results: list[BenchResult]) -> list[SweepPoint]:
+def panel(name: str, table: Floats, results: list[BenchEstimates]) -> list[SweepPoint]:
     """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
-        "lengths as recorded": [r.uncorrected for r in results],
-        "eccentricity taken off": [r.table for r in results],
+        "lengths as recorded": [r.uncorrected_lengths for r in results],
+        "eccentricity taken off": [r.range_errors for r in results],
     }
     rows = []
     for line, tables in lines.items():

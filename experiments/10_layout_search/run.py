@@ -10,18 +10,18 @@ from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.information import LayoutInformation, Predictor
+from ltsim.planning.information import CriteriaPredictor, LayoutInformation
 from ltsim.planning.layout_scenario import with_layout
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import fewest
+from ltsim.planning.reasons import cheapest_equal_option
 from ltsim.planning.result import Plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.survey import Survey
-from ltsim.planning.workshop import objective_of, site_of, survey_of
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.workshop import layout_objective, make_search_space, planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
@@ -30,38 +30,47 @@ MICRO = 1.0 / MICROMETRE
 PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "percent", 1.0)
 
 
-def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, Survey]:
+def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
     """Values of layouts that are drawn evenly over floor, heights and turns, `count` that keep all rules; the best."""
-    site = site_of(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
-    search = LayoutSearcher(site, objective_of(file, site.survey))
-    corners = np.vstack([search.table(0).position.min(axis=0), search.table(0).position.max(axis=0)])
+    site = make_search_space(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
+    search = LayoutSearcher(site, layout_objective(file, site.survey))
+    corners = np.vstack(
+        [search.grid_setups(0).setup_positions.min(axis=0), search.grid_setups(0).setup_positions.max(axis=0)]
+    )
     rng, values, best = stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
     while len(values) < count:
-        position = rng.uniform(*corners, (256, search.stations, 3))
+        position = rng.uniform(*corners, (256, search.n_stations, 3))
         yaw = rng.uniform(0, 2 * np.pi, position.shape[:2])
         flat = position.reshape(-1, 3)
-        visible = site.visible(flat).reshape(*yaw.shape, -1)
-        good = np.flatnonzero(site.feasible(position, visible) & site.allowed(flat).reshape(yaw.shape).all(axis=1))
+        visible = site.is_visible(flat).reshape(*yaw.shape, -1)
+        good = np.flatnonzero(
+            site.is_feasible(position, visible) & site.is_allowed(flat).reshape(yaw.shape).all(axis=1)
+        )
         if not len(good):
             continue
         position, yaw, visible = position[good], yaw[good], visible[good]
-        blocks = search.reducer.blocks(position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(yaw.size, -1))
-        reduced = search.reducer.reduce(blocks, np.arange(yaw.size).reshape(yaw.shape))
-        found = search.objective.values(reduced, search.construction.size)
+        blocks = search.scorer.normal_blocks(
+            position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(yaw.size, -1)
+        )
+        reduced = search.scorer.evaluate_layouts(blocks, np.arange(yaw.size).reshape(yaw.shape))
+        found = search.objective.objective_values(reduced, search.construction.n_parameters)
         values = np.concatenate([values, found])[:count]
         at = int(np.argmin(found[: count - len(values) + len(found)]))
         if found[at] < best[0]:
-            best = float(found[at]), site.survey.replace(position=position[at], yaw=yaw[at], visible=visible[at])
+            best = (
+                float(found[at]),
+                site.survey.replace(station_positions=position[at], station_yaws=yaw[at], is_visible=visible[at]),
+            )
     return values, best[1]
 
 
-def candidates_of(plan: PlannedNetwork, drawn: int, best: Survey) -> dict[str, tuple[str, Scenario]]:
+def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict[str, tuple[str, Scenario]]:
     """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
-    few, chosen = fewest(plan), plan.chosen.survey
+    few, chosen = cheapest_equal_option(plan), plan.layout.survey
     surveys = {"drawn": (f"best of {drawn} drawn", best)}
-    surveys["searched"] = f"searched, {len(chosen.position)} stations", chosen
+    surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
     if few is not None:
-        surveys["fewest"] = f"fewest, {len(few.survey.position)} stations", few.survey
+        surveys["fewest"] = f"fewest, {len(few.survey.station_positions)} stations", few.survey
     found = {kind: (name, with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
     return {"paper": ("paper, stations 2 to 5 ours", plan.scenario)} | found
 
@@ -87,21 +96,21 @@ def corrections(information: LayoutInformation) -> Floats:
     """
     axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
     raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-    size = information.construction.size
+    size = information.construction.n_parameters
     _, _, by_value = information.construction.linearised(raw, np.zeros(size))
     return by_value.reshape(-1, size) * information.prior_sigma
 
 
 def quality(scenario: Scenario) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
-    information = LayoutInformation.of(survey_of(scenario))
+    information = LayoutInformation.from_survey(planned_survey(scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
-    expected, promised = Predictor.of(information).expected(), {}
+    expected, promised = CriteriaPredictor.from_information(information).expected_errors(), {}
     for kind, (what, unit, factor) in product(("distance", "coordinate"), PROMISED):
         promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{what}")[0]
     return {
         "stations": len(scenario.stations),
-        "hours": information.survey.seconds / 3600,
+        "hours": information.survey.duration / 3600,
         "D": d_criterion(covariance),
         "A": a_criterion(covariance),
         "E": e_criterion(covariance),
@@ -121,10 +130,10 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     file.write_text(scenario_to_toml(scenario), encoding="utf-8")
     own = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
     results = lt.campaign(own, out=folder, jobs=given.jobs, force=True)
-    information = LayoutInformation.of(survey_of(scenario))
-    predicted, found = information.instrument_sigma, results.z_scores()
+    information = LayoutInformation.from_survey(planned_survey(scenario))
+    predicted, found = information.instrument_sigmas, results.z_score_summaries()
     rows: list[Row] = [
-        {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.factor,
+        {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.si_per_display_unit,
          "ratio": np.hypot(z.mean, z.deviation), "z_mean": z.mean}
         for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
     ]  # fmt: skip
@@ -132,7 +141,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     ((squared,),) = results.query("SELECT avg(target_error_um ^ 2) FROM rows")
     summary: Row = {
         "trials": found[0].trials,
-        "failed": results.checked()[0].failed,
+        "failed": results.solver_comparisons()[0].failed,
         "ratio_rms": np.sqrt(np.mean(ratio**2)),
         "ratio_least": ratio.min(),
         "ratio_largest": ratio.max(),
@@ -145,18 +154,22 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
 
 def lot_row(values: Floats, plan: PlannedNetwork) -> Row:
     """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
-    paper = d_criterion(LayoutInformation.of(survey_of(plan.scenario)).scaled_covariance)
+    paper = d_criterion(LayoutInformation.from_survey(planned_survey(plan.scenario)).scaled_covariance)
     named = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
     of_ten = values[: len(values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
-    row = {"drawn": len(values)} | named | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.chosen.value}
+    row = (
+        {"drawn": len(values)}
+        | named
+        | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.layout.objective_value}
+    )
     return row | {"drawn_better_than_paper_percent": 100 * np.mean(values < paper)}
 
 
 def curve_rows(plan: PlannedNetwork) -> list[Row]:
     """Cost against quality."""
     return [
-        {"stations": len(o.survey.position), "faces": len(o.survey.faces), "pointings": o.survey.pointings,
-         "hours": o.hours, "D": o.value, "efficient": o.efficient} for o in plan.options
+        {"stations": len(o.survey.station_positions), "faces": len(o.survey.faces), "pointings": o.survey.n_pointings,
+         "hours": o.hours, "D": o.objective_value, "efficient": o.is_efficient} for o in plan.tradeoff_points
     ]  # fmt: skip
 
 
@@ -169,7 +182,7 @@ def run(given: Options) -> Made:
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
-        content, about = Plan.of(plan), {"cone_deg": cone}
+        content, about = Plan.from_network(plan), {"cone_deg": cone}
         reasons[str(cone)] = [content.summary, *content.reasons]
         values, best = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
         tables["tradeoff"] += [about | row for row in curve_rows(plan)]

@@ -7,11 +7,11 @@ import pandas as pd
 
 from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.fieldcheck.occupation import TwoFace
+from ltsim.adjustment.fieldcheck.occupation import TwoFacePairs
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings import Hints, Recording, read
 from ltsim.recordings.setup import Noise
 
@@ -44,12 +44,12 @@ def set_up(recording: Recording, number: int) -> Recording:
 
 def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
-    built, dropped = construction or misalignment(), []
-    while found := adjust(recording, built).outliers():
+    built, dropped = construction or misalignment_construction(), []
+    while found := adjust(recording, built).flagged_readings():
         i = found[0].row
         own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        dropped.append((station, target, found[0].observable, found[0].w))
+        dropped.append((station, target, found[0].observable_column, found[0].normalised_residual))
         recording = recording.select(~(own & (recording.repeat == recording.repeat[i])))
     return recording, dropped
 
@@ -69,7 +69,7 @@ def noise_found(rounds: int = 4) -> Noise:
     noise = START
     for _ in range(rounds):
         kept = [snooped(epoch(name, noise))[0] for name in EPOCHS]
-        factor = variance_factors([adjust(r, misalignment()) for r in kept])
+        factor = variance_factors([adjust(r, misalignment_construction()) for r in kept])
         noise = Noise(
             distance_mm=noise.distance_mm * factor[0],
             distance_ppm=noise.distance_ppm * factor[0],
@@ -79,7 +79,7 @@ def noise_found(rounds: int = 4) -> Noise:
     return noise
 
 
-def clean(pairs: TwoFace, recording: Recording) -> Bools:
+def clean(pairs: TwoFacePairs, recording: Recording) -> Bools:
     """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
     gone = {d[:2] for d in snooped(recording)[1]}
     rows = pairs.rows[:, 0]

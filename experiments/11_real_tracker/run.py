@@ -14,7 +14,7 @@ import pandas as pd
 
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
-from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
@@ -22,7 +22,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.effects import BASELINE
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
 
@@ -30,7 +30,7 @@ from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, se
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
-SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
+SIX = misalignment_construction([effect for effect in BASELINE if effect.name in FLIPPING])
 UNITS = ("um", "urad across", "urad elevation")
 BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
 Rows = list[dict[str, object]]
@@ -51,9 +51,9 @@ def noise(out: Path) -> None:
     rows: Rows = []
     for name in EPOCHS:
         kept, dropped = snooped(epoch(name, found))
-        adjusted = adjust(kept, misalignment())
+        adjusted = adjust(kept, misalignment_construction())
         own = variance_factors([adjusted])
-        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment())
+        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment_construction())
         rows.append({"epoch": name, "pointings": len(kept), "chi2/dof": round(adjusted.sigma0**2, 3),
                      "range factor": own[0].round(2), "azimuth factor": own[1].round(2),
                      "elevation factor": own[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
@@ -65,9 +65,9 @@ def noise(out: Path) -> None:
 def course(out: Path) -> None:
     found = found_noise(out)
     kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
-    for label, construction in (("16", misalignment()), ("6", SIX)):
-        own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
-        history = History.of(CalibrationSeries.of(own))
+    for label, construction in (("16", misalignment_construction()), ("6", SIX)):
+        own = [(name, calibrate_network(kept[name], construction, recommend_measurements=False)) for name in EPOCHS]
+        history = History.from_series(CalibrationSeries.from_labelled(own))
         content = history.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         if construction is SIX:  # sixteen courses are a table
@@ -89,13 +89,13 @@ def course(out: Path) -> None:
 CEILING = "ceiling: 16 parameters on the set-up they were fitted to"
 """What the model removes from the very pairs it was fitted to: nothing that transfers can do better."""
 METHODS = (
-    ("16 parameters", misalignment(), False, False),
-    (DEFAULT, misalignment(), False, False),
-    ("16 parameters, outliers out", misalignment(), True, False),
-    ("16 parameters, outliers out, history of other epochs", misalignment(), True, True),
+    ("16 parameters", misalignment_construction(), False, False),
+    (DEFAULT, misalignment_construction(), False, False),
+    ("16 parameters, outliers out", misalignment_construction(), True, False),
+    ("16 parameters, outliers out, history of other epochs", misalignment_construction(), True, True),
     ("6 parameters", SIX, False, False),
     ("6 parameters, outliers out", SIX, True, False),
-    (CEILING, misalignment(), True, False),
+    (CEILING, misalignment_construction(), True, False),
 )
 """Name, what is estimated, whether outliers of the calibrating set-up go, whether other epochs tell the prior."""
 
@@ -104,17 +104,21 @@ def transfer(out: Path) -> None:
     """Half differences of each set-up before and after parameters of the other: each transfer, and all of a method."""
     found, parts = found_noise(out), []
     raw = {(name, s): set_up(epoch(name, found), s) for name in EPOCHS for s in (0, 1)}
-    good = {key: clean(two_face(r), r) for key, r in raw.items()}
+    good = {key: clean(two_face_pairs(r), r) for key, r in raw.items()}
     for method, construction, snoop, informed in METHODS:
-        own = {k: calibrate_network(snooped(r, construction)[0] if snoop else r, construction, advise=False)
-               for k, r in raw.items()}  # fmt: skip
+        used = {k: snooped(r, construction)[0] if snoop else r for k, r in raw.items()}
+        own = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
-            used = CalibrationSeries.of(others).as_prior_of(own[name, s]) if informed else own[name, s]
+            used = (
+                CalibrationSeries.from_labelled(others).with_population_prior(own[name, s])
+                if informed
+                else own[name, s]
+            )
             to = s if method == CEILING else 1 - s
-            values = used.applied[0] if method == DEFAULT else used.values[0]
-            faces = two_face(raw[name, to]), two_face(raw[name, to], construction, values)
-            columns = np.hstack([(1e6 * half.half) ** 2 for half in faces])
+            values = used.applied_values[0] if method == DEFAULT else used.estimates[0]
+            faces = two_face_pairs(raw[name, to]), two_face_pairs(raw[name, to], construction, values)
+            columns = np.hstack([(1e6 * half.half_differences) ** 2 for half in faces])
             about = {"method": method, "epoch": name, "from": s, "to": to, "clean": good[name, to]}
             parts.append(pd.DataFrame(columns, columns=[*BEFORE, *AFTER]).assign(**about))
     pairs = pd.concat(parts)
@@ -147,17 +151,17 @@ def lines(out: Path) -> None:
         kept = snooped(epoch(name, found))[0]
         spans = interferometer(name)
         back.append(spans.groupby("way").length.diff().dropna())
-        places = {"network, as read": adjust(kept).state.points,
-                  "network, calibrated": adjust(kept, misalignment()).state.points}  # fmt: skip
+        places = {"network, as read": adjust(kept).state.target_points,
+                  "network, calibrated": adjust(kept, misalignment_construction()).state.target_points}  # fmt: skip
         parts += [gaps(spans, kept.targets, points).assign(coordinates=how) for how, points in places.items()]
         for s in (0, 1):
-            one, own = set_up(kept, s), calibrate_network(set_up(kept, 1 - s), advise=False)
+            one, own = set_up(kept, s), calibrate_network(set_up(kept, 1 - s), recommend_measurements=False)
             for face in (1, 2):
                 seen = one.select(one.face == face)
                 names = [seen.targets[t] for t in seen.target]
                 single = {
                     "as read": from_polar(seen.readings),
-                    "parameters of the other set-up": own.construction.point(seen.readings, own.values[0]),
+                    "parameters of the other set-up": own.construction.point(seen.readings, own.estimates[0]),
                 }
                 parts += [gaps(spans, names, points).assign(coordinates=f"one face, {how}")
                           for how, points in single.items()]  # fmt: skip
@@ -184,15 +188,15 @@ def index(out: Path) -> None:
     found, rows = found_noise(out), []
     for name in EPOCHS:
         recording = snooped(epoch(name, found))[0]
-        pairs = two_face(recording)
+        pairs = two_face_pairs(recording)
         station = recording.station[pairs.rows[:, 0]]
-        design = [-1.0 / pairs.place[:, 0]]
+        design = [-1.0 / pairs.front_face_readings[:, 0]]
         for s in (0, 1):
             own = station == s
             order = np.zeros(len(pairs))
             order[own] = np.linspace(-1.0, 1.0, int(own.sum()))
             design += [-own.astype(float), -order]
-        a, y = np.array(design).T, pairs.half[:, 2] * 1e6
+        a, y = np.array(design).T, pairs.half_differences[:, 2] * 1e6
         x, squares = np.linalg.lstsq(a, y)[:2]
         covariance = np.linalg.inv(a.T @ a) * squares[0] / (len(y) - a.shape[1])
         sigma = np.sqrt(np.diag(covariance))
@@ -209,10 +213,10 @@ def checks(out: Path) -> None:
     found, rows = found_noise(out), []
     for name in EPOCHS:
         recording = epoch(name, found)
-        pairs, spans = two_face(recording), interferometer(name)
+        pairs, spans = two_face_pairs(recording), interferometer(name)
         own = recording.target[pairs.rows[:, 0]] == recording.targets.index("K6")
-        row = {"epoch": name, "K6 half difference in range um": round(1e6 * pairs.half[own, 0].mean(), 1)}
-        points = adjust(recording, misalignment()).state.points
+        row = {"epoch": name, "K6 half difference in range um": round(1e6 * pairs.half_differences[own, 0].mean(), 1)}
+        points = adjust(recording, misalignment_construction()).state.target_points
         for target in ("PQK36_3", "PQK62_10"):
             ends = spans[(spans["first"] == target) | (spans.second == target)]
             row[f"{target} less interferometer um"] = gaps(ends, recording.targets, points).gap.mean().round(1)

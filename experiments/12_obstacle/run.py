@@ -3,19 +3,19 @@
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import planned_scenario
+from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import d_criterion
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.result import Plan
-from ltsim.planning.survey import Survey
-from ltsim.planning.workshop import survey_of
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.workshop import planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
-from ltsim.simulation.workshop import visibility_of
+from ltsim.simulation.workshop import make_visibility
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
 
@@ -25,15 +25,15 @@ def with_machine(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": (MACHINE,)})})
 
 
-def row(name: str, scenario: Scenario, survey: Survey) -> Row:
+def row(name: str, scenario: Scenario, survey: PlannedSurvey) -> Row:
     """Sights and information of a layout in a workshop."""
-    information = LayoutInformation.of(survey)
+    information = LayoutInformation.from_survey(survey)
     return {
         "layout": name,
-        "sights_lost": int((~survey.visible).sum()),
+        "sights_lost": int((~survey.is_visible).sum()),
         "D": round(float(d_criterion(information.scaled_covariance)), 4),
         "target_rms_um": round(information.target_rms / MICROMETRE, 2),
-        "largest_target_um": round(float(information.target_sigma.max()) / MICROMETRE, 2),
+        "largest_target_um": round(float(information.target_sigmas.max()) / MICROMETRE, 2),
     }
 
 
@@ -43,19 +43,19 @@ def run(given: Options) -> Made:
     full = with_machine(empty)
     plans: dict[str, PlannedNetwork] = {name: make_plan(file, scenario, jobs=given.jobs)
                               for name, scenario in (("empty", empty), ("machine", full))}  # fmt: skip
-    moved = planned_scenario(plans["empty"])
+    moved = scenario_of_plan(plans["empty"])
     layouts = (
-        ("paper's layout, empty workshop", empty, survey_of(empty)),
-        ("paper's layout, with the machine", full, survey_of(full)),
-        ("plan for the empty workshop, empty", empty, survey_of(moved)),
-        ("plan for the empty workshop, with the machine", full, survey_of(with_machine(moved))),
-        ("plan for the machine, with the machine", full, survey_of(planned_scenario(plans["machine"]))),
+        ("paper's layout, empty workshop", empty, planned_survey(empty)),
+        ("paper's layout, with the machine", full, planned_survey(full)),
+        ("plan for the empty workshop, empty", empty, planned_survey(moved)),
+        ("plan for the empty workshop, with the machine", full, planned_survey(with_machine(moved))),
+        ("plan for the machine, with the machine", full, planned_survey(scenario_of_plan(plans["machine"]))),
     )
     rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
     show_table(given.out / "layouts.csv", rows)
-    lost = visibility_of(full).lost(tuple(full.stations), full.target_names)
+    lost = make_visibility(full).invisible_pair_sentences(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
-    for name, scenario in (("paper_machine", full), ("plan_machine", planned_scenario(plans["machine"]))):
+    for name, scenario in (("paper_machine", full), ("plan_machine", scenario_of_plan(plans["machine"]))):
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
-    reasons = {name: Plan.of(plan).reasons for name, plan in plans.items()}
+    reasons = {name: Plan.from_network(plan).reasons for name, plan in plans.items()}
     return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

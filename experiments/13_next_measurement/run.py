@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, Row, show_table
-from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.adjustment.remedies.remedy import Remedy
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import EffectEntry
@@ -26,18 +26,18 @@ from ltsim.simulation.truth import Truth
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
-    recording, construction = remedy.network.recording, misalignment()
-    position, rotation = truth.position, truth.rotation
-    if remedy.set_up is not None:
-        place, yaw = remedy.set_up
+    recording, construction = remedy.network.recording, misalignment_construction()
+    position, rotation = truth.station_positions, truth.station_rotations
+    if remedy.added_setup_on_plan is not None:
+        place, yaw = remedy.added_setup_on_plan
         position = np.vstack([position, place])
-        rotation = np.concatenate([rotation, about_z(yaw)[None]])
+        rotation = np.concatenate([rotation, rotation_about_z(yaw)[None]])
     order = [truth.target_names.index(name) for name in recording.targets]
-    values = np.array([[truth.instrument[name] for name in construction.names]])
-    state = State(position, rotation, truth.points[order], values)
+    values = np.array([[truth.instrument_values[name] for name in construction.parameter_names]])
+    state = NetworkState(position, rotation, truth.target_points[order], values)
     readings = MeasurementModel(recording, construction).predict(state)
-    for applied in truth.applied:
-        readings = readings + applied.effect.shift(sightings_of(recording, state), applied.values)
+    for applied in truth.applied_effects:
+        readings = readings + applied.effect.reading_change(sightings_of(recording, state), applied.parameter_values)
     noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
     added = np.arange(len(recording)) >= len(before)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))
@@ -79,15 +79,15 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
     between, beside = open_question(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = next_measurement(recording, between=between, with_effects=beside)
+    proposals = rank_next_measurements(recording, explanations=between, with_effects=beside)
     best = proposals.proposals[0]
     second = diagnose(measured(best.remedy, recording, truth, seed + number), seed=seed)
     row |= {
         "between": " ".join(between),
-        "proposal": best.remedy.words,
-        "minutes": round(best.remedy.seconds / 60, 1),
-        "evidence_before": " ".join(f"{value:.1f}" for value in proposals.evidence_now.values()),
-        "evidence_after": " ".join(f"{value:.1f}" for value in best.evidence.values()),
+        "proposal": best.remedy.instruction,
+        "minutes": round(best.remedy.duration / 60, 1),
+        "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2.values()),
+        "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2.values()),
         "tells_apart": " ".join(best.distinguishes),
     }
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
@@ -98,6 +98,6 @@ def run(given: Options) -> Made:
     config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = list(parallel(one, tasks, given.jobs))
+    rows = list(run_parallel(one, tasks, given.jobs))
     show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

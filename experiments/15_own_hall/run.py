@@ -3,14 +3,14 @@
 import numpy as np
 
 from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
-from ltsim.campaigns.calibrators import calibrator_of
-from ltsim.campaigns.cloud_kernels import rigid_fit
+from ltsim.campaigns.calibrators import make_calibrator
+from ltsim.campaigns.cloud_kernels import align_rigidly
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.layout_scenario import planned_scenario
+from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.plan_change import PlanChange
@@ -33,20 +33,20 @@ def changed(scenario: Scenario, change: PlanChange) -> Scenario:
 
 def squares(scenario: Scenario, weights: dict[str, float], number: int, width: int) -> Floats:
     """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
-    truth = truth_of(scenario, SEED, "campaign")
-    block = truth.draw(SEED, number, width)
-    found = calibrator_of(Method(), truth).calibrate(block, np.arange(width))
+    truth = make_cell_truth(scenario, SEED, "campaign")
+    block = truth.draw_block(SEED, number, width)
+    found = make_calibrator(Method(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
-    true = np.ascontiguousarray(np.broadcast_to(truth.state.points[:, :, None], found.points.shape))
+    true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], found.target_errors.shape))
     moved = np.empty_like(true)
-    rigid_fit(true + found.points, true, weight > 0, moved)
+    align_rigidly(true + found.target_errors, true, weight > 0, moved)
     return np.einsum("t,tkb->b", weight / weight.sum(), ((moved - true) / MICROMETRE) ** 2)
 
 
 def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials: int, jobs: int) -> Row:
     """How much smaller the error of the other targets is after the change, with its interval over batches."""
     tasks = [(scenario, weights, *batch) for scenario in scenarios for batch in batches(trials, 1000)]
-    parts = list(parallel(squares, tasks, jobs))
+    parts = list(run_parallel(squares, tasks, jobs))
     half = len(parts) // 2
     before, after = np.concatenate(parts[:half]), np.concatenate(parts[half:])
     value = np.sqrt(before.mean()) - np.sqrt(after.mean())
@@ -64,14 +64,14 @@ def run(given: Options) -> Made:
     trials = given.trials or TRIALS
     file, hall = load_plan(given.here / "hall.toml")
     plan = make_plan(file, hall, jobs=given.jobs)
-    scenario, survey, result = planned_scenario(plan), plan.chosen.survey, Plan.of(plan)
-    own = dict(zip(survey.target_names, survey.weight.tolist(), strict=True))
+    scenario, survey, result = scenario_of_plan(plan), plan.layout.survey, Plan.from_network(plan)
+    own = dict(zip(survey.target_names, survey.normalised_target_weights.tolist(), strict=True))
     rows: list[Row] = []
-    for change in plan.changes.reported:
+    for change in plan.reflector_changes.reported_changes:
         weights = {name: weight for name, weight in own.items() if name != change.reflector}
         found = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
         held = found["gain_low_um"] <= change.gain_um <= found["gain_high_um"]
-        row: Row = {"do": change.deed, "promised_um": change.gain_um, **found}
+        row: Row = {"do": change.action_text, "promised_um": change.gain_um, **found}
         rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)

@@ -59,14 +59,14 @@ def huber(recording: Path, out: Path) -> None:
     import numpy as np
 
     from ltsim.adjustment import adjust
-    from ltsim.physics.model.construction import misalignment
+    from ltsim.physics.model.construction import misalignment_construction
 
     read = _calibrated(recording, out, robust=False)
-    found = adjust(read, misalignment())
+    found = adjust(read, misalignment_construction())
     for _ in range(HUBER_ROUNDS - 1):
         size = np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER
-        found = adjust(read, misalignment(), sigma=read.sigma() * np.sqrt(np.maximum(size, 1.0)))
-    _targets(out, read.targets, 1e3 * found.state.points)
+        found = adjust(read, misalignment_construction(), sigma=read.sigma() * np.sqrt(np.maximum(size, 1.0)))
+    _targets(out, read.targets, 1e3 * found.state.target_points)
 
 
 def gama(recording: Path, out: Path) -> None:
@@ -78,12 +78,14 @@ def gama(recording: Path, out: Path) -> None:
     import ltsim as lt
     from ltsim.calibration.correct import corrected_readings
     from ltsim.geometry.polar import from_polar, to_face, to_polar
-    from ltsim.geometry.rotations import about_z
+    from ltsim.geometry.rotations import rotation_about_z
 
     read = lt.read(str(recording))
     found = lt.calibrate(read, advise=False)
-    ideal = corrected_readings(read, found.construction, found.values[read.instrument])
-    upright = np.stack([about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.rotation])
+    ideal = corrected_readings(read, found.construction, found.estimates[read.instrument])
+    upright = np.stack(
+        [rotation_about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.station_rotations]
+    )
     local = from_polar(to_face(ideal, read.face))
     level = to_face(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
     stations = {name: s.model_copy(update={"levelled": True}) for name, s in read.setup.stations.items()}

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.recordings import read
 from ltsim.recordings.files import write_text, write_texts
@@ -46,7 +46,7 @@ def run(given: Options) -> Made:
         if not (SHARED / f"{name}-truth.json").is_file():
             sys.exit(f"the truth of {name} is sealed; it was diagnosed once, into {COMMITTED / name}")
         shutil.rmtree(TODAY / name, ignore_errors=True)
-        list(parallel(examine, [(folder, TODAY / name) for folder in folders], given.jobs))
+        list(run_parallel(examine, [(folder, TODAY / name) for folder in folders], given.jobs))
         score_round(name, given.out)
     return Made(seed=0)
 

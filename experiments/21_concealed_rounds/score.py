@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 
 PLACES = ("stations", "targets", "observables")
 Row = dict[str, Any]
@@ -32,7 +32,7 @@ def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
 
 def rigid_error(points: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance [um] of points (T, 3) [mm] from the truth after the best rigid fit."""
-    return float(1e3 * np.sqrt(np.mean(np.sum((on_points(points, truth) - truth) ** 2, axis=1))))
+    return float(1e3 * np.sqrt(np.mean(np.sum((align_to_points(points, truth) - truth) ** 2, axis=1))))
 
 
 def names_of(answer: dict[str, Any]) -> set[str]:
@@ -67,7 +67,7 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
             told, true = hit["where"]["observables"], answer["where"].get("observables", ())
             count["exact"] += bool(strict) and set(told) == set(true)
         else:
-            count.update(named=1, first=bool(strict), place=fits(answer, hit))
+            count.update(descriptions=1, first=bool(strict), place=fits(answer, hit))
     count["alarms"] = len(findings) if not answers else max(len(findings) - len(answers), 0)
     before, after = _errors(truth, found)
     return {

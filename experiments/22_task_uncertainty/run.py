@@ -6,14 +6,14 @@ import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth, make_cell_truth
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
-from ltsim.measurands.inputs import Inputs
-from ltsim.measurands.measurands import Measurand, best_fit
-from ltsim.measurands.propagation import LinearUncertainty, expansion_of, propagate
+from ltsim.core.parallel import run_parallel
+from ltsim.measurands.inputs import TaskInputs
+from ltsim.measurands.measurands import Measurand, align_with_scale
+from ltsim.measurands.propagation import LinearUncertainty, part_expansion, propagate
 from ltsim.measurands.spec import Tasks, load_tasks
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry
 
@@ -34,12 +34,12 @@ def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number:
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
     frame of inner constraints, which the prediction is told in.
     """
-    engine = BatchCalibrator(truth, misalignment())
-    found = engine.calibrate(truth.draw(seed, number))
-    drawn = truth.state.points + np.moveaxis(found.points, 2, 0)
-    rotation, shift, _ = best_fit(placed, drawn)
+    engine = BatchCalibrator(truth, misalignment_construction())
+    found = engine.calibrate(truth.draw_block(seed, number))
+    drawn = truth.state.target_points + np.moveaxis(found.target_errors, 2, 0)
+    rotation, shift, _ = align_with_scale(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
-    measurands = [Measurand.of(task, truth.recording.targets, placed) for task in tasks.task]
+    measurands = [Measurand.from_task(task, truth.recording.targets, placed) for task in tasks.task]
     true = np.concatenate([m.values(placed) for m in measurands])
     return np.concatenate([m.values(drawn) for m in measurands], axis=1) - true
 
@@ -52,16 +52,16 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
     told = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
-    inputs = Inputs.of(truth.recording, told)
-    measurands = [Measurand.of(task, inputs.targets, inputs.points) for task in told.task]
-    names = [(m.task.name, o.name, o.unit, o.factor) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, expansion_of(None)), names, inputs.origin.state.points
+    inputs = TaskInputs.from_recording(truth.recording, told)
+    measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
+    names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
+    return propagate(inputs, measurands, part_expansion(None)), names, inputs.origin.state.target_points
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:
     """A row a result: predicted and observed deviation, share inside the 95 % interval, both with their uncertainty."""
     rows, count = [], len(errors)
-    inside, scatter = np.mean(np.abs(errors) <= linear.expanded(0.95), axis=0), errors.std(axis=0, ddof=1)
+    inside, scatter = np.mean(np.abs(errors) <= linear.expanded_uncertainty(0.95), axis=0), errors.std(axis=0, ddof=1)
     for i, (task, result, unit, factor) in enumerate(names):
         if "ness" in result or result in ("sphericity", "cylindricity") or result.startswith(("normal", "direction")):
             continue  # Forms are not negative, directions not independent: the Monte Carlo interval is for these.
@@ -82,10 +82,10 @@ def run(given: Options) -> Made:
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[Any] = []
     for case in config["cases"]:
-        truth = truth_of(scenario_of(config["scenario"], case), seed)
+        truth = make_cell_truth(scenario_of(config["scenario"], case), seed)
         linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
-        work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, BLOCK)]
-        errors = np.concatenate([*parallel(errors_of, work, given.jobs)])[:trials]
+        work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, TRIALS_PER_STREAM)]
+        errors = np.concatenate([*run_parallel(errors_of, work, given.jobs)])[:trials]
         rows += table_of(case["title"], errors, linear, names)
     show_table(given.out / "results.csv", rows)
     return Made(seed, trials)

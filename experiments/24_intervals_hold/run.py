@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
-from ltsim.campaigns.statistics import NORMAL_95, Checked
+from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, SolverComparison
 from ltsim.core.arrays import Floats
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
@@ -34,7 +34,7 @@ def run(given: Options) -> Made:
             folder = f"{title.replace(' ', '-')}-{trackers}"
             results = campaign("config.toml", given, folder, methods=[built], **tables, **absent, **places)
             z = results.to_dataframe("rows").filter(like="z:").to_numpy()
-            rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.checked()[0]))
+            rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.solver_comparisons()[0]))
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
     figure = by_factor(
@@ -44,9 +44,9 @@ def run(given: Options) -> Made:
     return Made(results.manifest.seed, results.manifest.trials)
 
 
-def row_of(z: Floats, end: Checked) -> Row:
+def row_of(z: Floats, end: SolverComparison) -> Row:
     """Share [%] of z-scores (trials, parameters) inside 95 %, and how many parameters' shares chance would not make."""
-    inside = np.abs(z) < NORMAL_95
+    inside = np.abs(z) < NORMAL_QUANTILE_95
     by_trial, mean = inside.mean(axis=1), 100 * float(inside.mean())
     half = 196 * float(by_trial.std(ddof=1)) / np.sqrt(len(z))
     low, high = stats.binom.ppf([0.005, 0.995], len(z), 0.95)

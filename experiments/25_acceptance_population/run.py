@@ -8,11 +8,11 @@ import pandas as pd
 
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
-from ltsim.acceptance.spec import builtin, envelope
+from ltsim.acceptance.spec import builtin_tests, envelope_points
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.physics.model.construction import misalignment
-from ltsim.recordings.specification import sheet
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.recordings.specification import data_sheet
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 BLOCK = 1000
@@ -20,28 +20,28 @@ BLOCK = 1000
 
 def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     """Largest point error over its limit (`share`), and whether each plan is passed: an instrument a row."""
-    limits, built, points = sheet(config["sheet"]), misalignment(), envelope()
-    stated = limits.instrument()
+    limits, built, points = data_sheet(config["sheet"]), misalignment_construction(), envelope_points()
+    stated = limits.to_instrument()
     plans = {
         name: AcceptancePlan(
-            tuple(builtin(name, config["nearest_m"], config["lengths_m"])), built, limits, stated.noise
+            tuple(builtin_tests(name, config["nearest_m"], config["lengths_m"])), built, limits, stated.noise
         )
         for name in config["standards"]
     }
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
     harm, range_ = point_errors_by_constant(built, points, prior), to_polar(points)[:, 0]
-    limit = np.hypot(np.sqrt(2) * limits.across(range_), limits.along(range_))
+    limit = np.hypot(np.sqrt(2) * limits.transverse_limit(range_), limits.range_limit(range_))
     parts = []
     for start in range(0, trials, BLOCK):
         rng = stream(config["seed"], "population", start)
         size = np.exp(rng.uniform(*np.log(config["spread"]), BLOCK))
-        units = rng.standard_normal((BLOCK, built.size)) * size[:, None]
+        units = rng.standard_normal((BLOCK, built.n_parameters)) * size[:, None]
         gaps = np.linalg.norm((units @ harm.T).reshape(BLOCK, -1, 3), axis=2)
         columns = {"share": np.max(gaps / limit, axis=1)}
         for name, plan in plans.items():
             errors = np.einsum("kip,np->nki", plan.sensitivities * prior, units)
-            noise = rng.standard_normal(errors.shape) * plan.scatter
-            columns[name] = plan.within(errors + noise).all(axis=1)
+            noise = rng.standard_normal(errors.shape) * plan.error_sigmas
+            columns[name] = plan.is_within_limits(errors + noise).all(axis=1)
         parts.append(pd.DataFrame(columns))
     found = pd.concat(parts, ignore_index=True).head(trials)
     return found.assign(both=found[[*plans]].all(axis=1))

@@ -15,14 +15,14 @@ from scipy.special import logsumexp
 from experiments.common import Row
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import UNCHECKED
-from ltsim.calibration.verbs import requested_effect
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import BASELINE, CATALOGUE
-from ltsim.physics.effects.effect import Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.effect import Blunder, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.model.construction import declared_construction
 
 from .injections import background, injection, placed, unit_of
@@ -36,7 +36,7 @@ STRENGTH = 100.0
 CARDS = tuple(
     kind.name
     for kind in CATALOGUE
-    if not issubclass(kind, NoiseEffect | Mistake) and kind.name not in {effect.name for effect in BASELINE}
+    if not issubclass(kind, NoiseEffect | Blunder) and kind.name not in {effect.name for effect in BASELINE}
 )
 """Effects of the catalogue that change readings and that the ordinary calibration does not estimate."""
 MOST_BACKGROUND = 5
@@ -48,7 +48,7 @@ class Instance:
     """A cause at one place and of one shape, and its kind in the words of the plan."""
 
     kind: str
-    cause: Tunable
+    cause: CandidateEffect
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -71,7 +71,7 @@ class Observer:
         for kind in dict.fromkeys(kinds):
             texts = [kind.format(station=s, unit=unit) for s in recording.stations] if "{station}" in kind else [kind]
             for text in texts:
-                causes = requested_effect(text, recording).candidates(space.adjustment)
+                causes = parse_requested_effect(text, recording).candidates(space.adjustment)
                 found += [Instance(kind, cause) for cause in causes]
         return cls(space, found)
 
@@ -80,10 +80,10 @@ class Observer:
         """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
         found = []
         for instance in self.instances:
-            rows = self.space.signature(instance.cause) * instance.cause.spread
+            rows = self.space.whitened_signature(instance.cause) * instance.cause.size_scales
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
-            visible = values > UNCHECKED * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
+            visible = values > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
             found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
         return found
 
@@ -111,7 +111,7 @@ class Observer:
         """The observer that has found the causes of the list in the recording as it is, and estimates them too."""
         observer = self
         for _ in range(MOST_BACKGROUND):
-            opinion = observer.opinion(observer.space.residual)
+            opinion = observer.opinion(observer.space.residuals)
             if opinion is None:
                 break
             observer = Observer(observer.space.with_effects([opinion.cause]), self.instances)
@@ -136,7 +136,7 @@ def asked(network: Row, settings: Row) -> list[Row]:
     the list they hold; and with these and all effects of the catalogue on the list (`catalogue`).
     """
     _, weighted, _ = background(network["file"], network.get("clockwise", False), told_noise=False)
-    space = ResidualSpace.of(adjust(weighted, declared_construction(weighted)))
+    space = ResidualSpace.from_adjustment(adjust(weighted, declared_construction(weighted)))
     kinds, unit = settings["kinds"], unit_of(weighted)
     simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CARDS, *kinds], unit)
     observers = {"simulated": simulated, "own": simulated.with_background(), "catalogue": catalogue.with_background()}
@@ -148,13 +148,13 @@ def asked(network: Row, settings: Row) -> list[Row]:
         except ModelError:
             continue
         change = np.nan_to_num(made.readings - weighted.readings)
-        change[:, 1:] = wrap(change[:, 1:])
+        change[:, 1:] = wrap_angle(change[:, 1:])
         signal = space.project(space.whiten(change[:, :, None])[:, 0])
-        noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.size)
+        noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.n_rows)
         for name, observer in observers.items():
-            residual = signal + (space.project(noise) if name == "simulated" else space.residual)
+            residual = signal + (space.project(noise) if name == "simulated" else space.residuals)
             opinion = observer.opinion(residual)
-            is_placed = opinion is not None and placed(truth.causes[0].cause, opinion.cause, weighted)
+            is_placed = opinion is not None and placed(truth.injected_effects[0].effect, opinion.cause, weighted)
             row |= {f"{name}_placed": is_placed, f"{name}_named": is_placed and opinion.kind == kind}
         rows.append(row)
     return rows

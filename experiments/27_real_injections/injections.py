@@ -11,11 +11,11 @@ import ltsim as lt
 from experiments.common import RECORDINGS as DATA, Row
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.diagnosis.schema import Finding
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.simulation.inject import Injection
+from ltsim.simulation.inject import RecordingWithInjection
 
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
@@ -45,7 +45,7 @@ def place(one: Any, recording: Recording) -> tuple[set[str], set[str]]:
     return stations, set(one.targets) or set(recording.targets)
 
 
-def placed(cause: Tunable, where: Any, recording: Recording) -> bool:
+def placed(cause: CandidateEffect, where: Any, recording: Recording) -> bool:
     """Stations and targets are those of the cause (several: half in common), and an observable of it is named."""
     pairs = zip(place(cause, recording), place(where, recording), strict=True)
     alike = all(a == b if len(a) < 2 else len(a & b) >= SAME * len(a | b) for a, b in pairs)
@@ -53,11 +53,11 @@ def placed(cause: Tunable, where: Any, recording: Recording) -> bool:
     return alike and (not where.observables or not acts or bool(acts & set(where.observables)))
 
 
-def named(cause: Tunable, told: Finding) -> bool:
+def named(cause: CandidateEffect, told: Finding) -> bool:
     """An effect by its name or among the equivalents; a law as unknown, with its carrier or its observables."""
-    if not isinstance(cause, Law):
+    if not isinstance(cause, EmpiricalLaw):
         return cause.name in (told.effect, *(e.effect for e in told.equivalents))
-    return not told.is_catalogued and (told.carrier == cause.carrier.name
+    return not told.is_catalogued and (told.carrier == cause.response.name
                                or set(told.where.observables) == set(cause.observables))  # fmt: skip
 
 
@@ -71,7 +71,9 @@ def key(told: Finding) -> Any:
     return told.where.model_copy(update={"covariates": ()})
 
 
-def injection(network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool = False) -> Injection:
+def injection(
+    network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool = False
+) -> RecordingWithInjection:
     """A cause of a kind in the recording of a network; raises ModelError where the network shows no such cause."""
     recording, weighted, _ = background(network["file"], network.get("clockwise", False), told_noise)
     rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])

@@ -21,7 +21,7 @@ import ltsim as lt
 from experiments.common import RECORDINGS as DATA, Made, Options, Row, show_table, tell, write_figure, write_table
 from experiments.intervals import share
 from ltsim.core.errors import LtsimError, ModelError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 from . import ideal
@@ -40,7 +40,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_no
         drawn, truth = injection(network, kind, strength, trial, seed, told_noise)
     except ModelError:
         return row | {"hidden": True}
-    start, cause = time.perf_counter(), truth.causes[0].cause
+    start, cause = time.perf_counter(), truth.injected_effects[0].effect
     try:
         told = lt.diagnose(recording.with_readings(drawn.readings), held_out=False).findings
     except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
@@ -50,7 +50,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_no
     mine = [f for f in fresh if f in here or named(cause, f)]
     again = [f for f in fresh if f not in mine and any(f.effect == b.effect or key(f) == key(b) for b in before)]
     where = " ".join([*cause.stations, *cause.targets])
-    largest = truth.causes[0].largest
+    largest = truth.injected_effects[0].largest_changes
     return row | {
         "hidden": False, "where": where, "found": bool(mine), "placed": bool(here),
         "right": any(named(cause, f) for f in here), "new": len(fresh), "injected": len(mine), "retold": len(again),
@@ -103,7 +103,7 @@ def injected(given: Options, settings: Row, told_noise: bool) -> list[Row]:
         if not kept.is_file():
             seed = settings["seed"]
             tasks = product([network], settings["kinds"], [float(strength)], [trial], [seed], [told_noise])
-            kept.write_text(json.dumps(list(parallel(one, list(tasks), given.jobs))), encoding="utf-8")
+            kept.write_text(json.dumps(list(run_parallel(one, list(tasks), given.jobs))), encoding="utf-8")
         rows += (own := json.loads(kept.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
         tell(f"{said}: {sum(not row['hidden'] for row in own)} injections, {minutes:.1f} min")
@@ -120,7 +120,9 @@ def run(given: Options) -> Made:
         return Made(settings["seed"], given.trials)
     if "ideal" in given.words:
         networks = [network for network in settings["network"] if (DATA / network["file"]).exists()]
-        rows = [row for some in parallel(ideal.asked, [(n, settings) for n in networks], given.jobs) for row in some]
+        rows = [
+            row for some in run_parallel(ideal.asked, [(n, settings) for n in networks], given.jobs) for row in some
+        ]
         write_table(given.out / "ideal_100.csv", rows)
         ltsim = pd.read_csv(given.out / "rows_100.csv").convert_dtypes().to_dict("records")
         show_table(given.out / "table_ideal.csv", ideal.table_of(rows, ltsim))

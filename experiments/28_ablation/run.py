@@ -13,13 +13,13 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.space import panels
-from ltsim.physics.laws.regressors import Regressor, base_of
+from ltsim.physics.laws.regressors import Regressor, operator_input
 from ltsim.physics.model.construction import declared_construction
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
@@ -34,7 +34,7 @@ def part_of(driver: Regressor) -> str:
     """A driver's operator, or how it is made of others; what has neither is a curve, a wave or a formula."""
     if driver.kind == "product":
         return "across the room" if any(f.kind == "field" for f in driver.factors) else "product"
-    memory = any(base_of(name) != name or name == "lapse" for name in driver.covariates)
+    memory = any(operator_input(name) != name or name == "lapse" for name in driver.covariates)
     return "memory" if memory and driver.kind != "lagging" else driver.kind
 
 
@@ -45,7 +45,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     bank = NoiseBank.of(space, noise_hypotheses(sightings, instruments))
     cards = CatalogueSignatures.of(space, catalogue_hypotheses(sightings, instruments))
     values, chance = cards.score(probe)
-    own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
+    own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.family_evidence(probe.trials, space.redundancy)
     share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
@@ -66,7 +66,7 @@ def chances(name: str) -> dict[str, float]:
     """The p-value of the search, whole and without each part, and of chi-square alone."""
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, declared_construction(recording))
-    parts = parts_of(ResidualSpace.of(adjusted))
+    parts = parts_of(ResidualSpace.from_adjustment(adjusted))
     told = {CHI2: adjusted.p_value, WHOLE: p_value([s for some in parts.values() for s in some])}
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings alone": ("reading",)}.items():
         alone = [s for (carrier, driver), some in parts.items() if carrier in kept for s in some
@@ -85,7 +85,7 @@ def run(given: Options) -> Made:
     if "tables" not in given.words:
         more = {"truth_sha256": make.make(cases, WORK, given.jobs)}
         truth = json.loads((WORK / make.TRUTH).read_text(encoding="utf-8"))
-        told = list(parallel(chances, [(name,) for name in truth], given.jobs))
+        told = list(run_parallel(chances, [(name,) for name in truth], given.jobs))
         rows: list[Row] = []
         for what in dict.fromkeys(key for one in told for key in one):
             for strength in sorted({t["strength"] for t in truth.values()}):

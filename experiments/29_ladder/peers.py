@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import ltsim as lt
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.recordings.setup import Station
 
 from .hall import Array, Hall, Observations, name_of, polar
@@ -169,7 +169,7 @@ def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str],
 def levelled(observations: Observations) -> Observations:
     """The observations as set-ups without tilt would have read them, on one face."""
     hall = observations.hall
-    upright = np.array([about_z(np.arctan2(r[0, 1], r[0, 0])) for r in hall.rotation])
+    upright = np.array([rotation_about_z(np.arctan2(r[0, 1], r[0, 0])) for r in hall.rotation])
     d, az, el = observations.readings.T
     local = np.column_stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)]) * d[:, None]
     turn = (upright @ np.swapaxes(hall.rotation, 1, 2))[hall.station]

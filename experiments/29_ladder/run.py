@@ -21,9 +21,9 @@ import pandas as pd
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, tell, write_table
 from experiments.intervals import share
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.core.errors import LtsimError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.schema import Finding
 from ltsim.recordings import Recording
 
@@ -64,7 +64,7 @@ def _coordinates(result: Any, count: int) -> np.ndarray:
     return np.asarray(1e-3 * table.reindex(names)[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float))
 
 
-def _where(one: Test | Finding) -> tuple[set[str], set[str]]:
+def _where(one: CauseTest | Finding) -> tuple[set[str], set[str]]:
     return set(one.where.stations), set(one.where.targets)
 
 
@@ -250,7 +250,7 @@ def run(given: Options) -> Made:
         groups = [list(group) for _, group in groupby(entries, key=lambda entry: (entry[0].name, entry[3]))]
         tasks = [(group[0][0], [cause for _, _, cause, _ in group], group[0][3], names) for group in groups]
         rows = []
-        for group, verdicts in zip(groups, parallel(rungs, tasks, given.jobs), strict=True):
+        for group, verdicts in zip(groups, run_parallel(rungs, tasks, given.jobs), strict=True):
             for (_, row, _, _), verdict_row in zip(group, verdicts, strict=True):
                 rows.append(row | verdict_row)
                 tell("  ".join(str(v) for v in rows[-1].values()))

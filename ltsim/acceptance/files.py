@@ -42,7 +42,7 @@ class GroupEntry(Entry):
     """Largest ratio of error to limit; for a prediction the error includes its uncertainty."""
 
 
-TESTS = Table(
+TESTS_TABLE = Table(
     "accept.csv",
     "errors and limits of the tests",
     columns_of(
@@ -56,7 +56,7 @@ TESTS = Table(
 )
 
 
-GROUPS = Table(
+GROUPS_TABLE = Table(
     "groups.csv",
     "tests by group",
     columns_of(
@@ -124,7 +124,7 @@ class AcceptanceFile(ResultFile):
         return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"tests": lambda: TESTS.filled(self.tests), "groups": lambda: GROUPS.filled(self.groups)}
+        return {"tests": lambda: TESTS_TABLE.filled(self.tests), "groups": lambda: GROUPS_TABLE.filled(self.groups)}
 
 
 def group_entries(
@@ -143,6 +143,6 @@ def group_entries(
     )
 
 
-def passes_words(content: AcceptanceFile, chance: float) -> str:
+def pass_probability_text(content: AcceptanceFile, probability: float) -> str:
     """Text of the probability to pass or, for measured errors, of their comparison with the limits."""
-    return f"{100 * chance:.1f} %" if content.kind == "predicted" else "yes" if chance == 1 else "no"
+    return f"{100 * probability:.1f} %" if content.kind == "predicted" else "yes" if probability == 1 else "no"

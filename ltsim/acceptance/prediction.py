@@ -8,18 +8,18 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
-from ltsim.acceptance.spec import Acceptance, Test, envelope
+from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.polar import from_polar, parts_across_beam, to_polar, unit_vectors
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
-ROUNDING_SHARE = 1e-6
+MAX_ROUNDING_FRACTION = 1e-6
 """Fraction of a limit that a constant of usual size may cause by rounding alone."""
 MAX_PRIOR_SIGMAS = 3.0
 """Number of prior standard deviations within which an instrument that passes despite large errors is searched."""
@@ -29,13 +29,13 @@ MAX_PRIOR_SIGMAS = 3.0
 class AcceptancePlan:
     """Tests of an instrument of one construction, with their limits."""
 
-    tests: tuple[Test, ...]
+    tests: tuple[AcceptanceTest, ...]
     construction: Construction
     specification: Specification
-    noise: Noise
+    declared_noise: Noise
 
     @cached_property
-    def _ends(self) -> tuple[Floats, Floats]:
+    def _test_ends(self) -> tuple[Floats, Floats]:
         return np.array([t.first for t in self.tests]), np.array([t.second for t in self.tests])
 
     @cached_property
@@ -44,40 +44,40 @@ class AcceptancePlan:
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
-    def limits(self) -> Floats:
+    def permissible_errors(self) -> Floats:
         """Limits of the specification, (k,) [m]."""
-        first, second = self._ends
-        limit = self.specification.of_two_faces(first)
+        first, second = self._test_ends
+        limit = self.specification.two_face_limits(first)
         chosen = self.is_length
-        limit[chosen] = self.specification.of_lengths(first[chosen], second[chosen])
+        limit[chosen] = self.specification.length_limits(first[chosen], second[chosen])
         return limit
 
-    def errors(self, values: Floats) -> Floats:
+    def test_errors(self, values: Floats) -> Floats:
         """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise; exact.
 
         For a length they are measured minus true, and 0. For a two-face test they are the front-face point minus the
         back-face point, to the left and upwards as seen from the instrument.
         """
-        first, second = self._ends
+        first, second = self._test_ends
         front = np.ones(len(first), dtype=np.int64)
         points = from_polar(self.construction.readings(first, front, values))
         far = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), values))
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far - points, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = across_beam(points - far, first)[~self.is_length]
+        errors[~self.is_length] = parts_across_beam(points - far, first)[~self.is_length]
         return errors
 
     @cached_property
     def sensitivities(self) -> Floats:
         """Derivative of the errors with respect to the constants, by central differences, (k, 2, p) [m per SI unit]."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
-        columns = [(self.errors(s) - self.errors(-s)) / (2 * s.sum()) for s in steps]
+        columns = [(self.test_errors(s) - self.test_errors(-s)) / (2 * s.sum()) for s in steps]
         return np.stack(columns, axis=2)
 
     @cached_property
-    def scatter(self) -> Floats:
+    def error_sigmas(self) -> Floats:
         """Standard deviations of the errors due to noise, (k, 2) [m]."""
-        first, second = self._ends
+        first, second = self._test_ends
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
         way = second - first
@@ -93,7 +93,7 @@ class AcceptancePlan:
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
         flat = np.zeros(len(polar))
-        sigma = noise_sigma([self.noise], flat.astype(int), polar[:, 0], flat)
+        sigma = noise_sigma([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
@@ -103,8 +103,8 @@ class AcceptancePlan:
         about the mean.
         """
         rng = stream(seed, "accept")
-        middle = self.errors(mean)
-        root = _root(covariance)
+        middle = self.test_errors(mean)
+        root = _covariance_root(covariance)
         passed = np.zeros(len(self.tests))
         every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)
         of_group = {g: np.array([t.group == g for t in self.tests]) for g in groups}
@@ -113,32 +113,34 @@ class AcceptancePlan:
             drawn = (
                 rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
             )
-            noise = rng.standard_normal((count, *self.scatter.shape)) * self.scatter
-            within = self.within(middle + drawn.reshape(count, *middle.shape) + noise)
+            noise = rng.standard_normal((count, *self.error_sigmas.shape)) * self.error_sigmas
+            within = self.is_within_limits(middle + drawn.reshape(count, *middle.shape) + noise)
             passed += within.sum(axis=0)
             every += int(within.all(axis=1).sum())
             for name, mine in of_group.items():
                 groups[name] += int(within[:, mine].all(axis=1).sum())
-        variance = np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.scatter**2
+        variance = (
+            np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.error_sigmas**2
+        )
         return AcceptancePrediction(
-            errors=middle,
-            sigma=np.sqrt(variance),
-            passes=passed / trials,
-            all_pass=every / trials,
-            group_passes={name: count / trials for name, count in groups.items()},
+            expected_errors=middle,
+            error_sigmas=np.sqrt(variance),
+            pass_probabilities=passed / trials,
+            p_all_pass=every / trials,
+            p_group_passes={name: count / trials for name, count in groups.items()},
         )
 
-    def within(self, errors: Floats) -> Bools:
+    def is_within_limits(self, errors: Floats) -> Bools:
         """Flags (...,): errors (..., k, 2) [m] are within the limits."""
-        return np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
+        return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
-    def smallest_failing(self) -> tuple[Floats, list[Test]]:
+    def smallest_failing(self) -> tuple[Floats, list[AcceptanceTest]]:
         """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test; inf if none."""
-        per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.limits[:, None]
+        per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
         at = np.argmax(per_unit, axis=0)
         most = per_unit[at, np.arange(len(at))]
         usual = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(most * usual > ROUNDING_SHARE, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
+        size = np.where(most * usual > MAX_ROUNDING_FRACTION, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
         return size, [self.tests[i] for i in at]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
@@ -149,23 +151,23 @@ class AcceptancePlan:
         prior standard deviations (p,).
         """
         harm = point_errors_by_constant(self.construction, points, prior)
-        directions = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
+        directions = (self.sensitivities * prior / self.permissible_errors[:, None, None]).reshape(-1, len(prior))
         bound = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(bound))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
-        tried = np.array([self._stretched(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
+        tried = np.array([self._longest_passing(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
         gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
         best = int(rms.argmax())
-        tried[np.abs(tried) < ROUNDING_SHARE * prior] = 0.0
+        tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior] = 0.0
         return tried[best], float(rms[best]), float(gaps[best].max())
 
-    def _stretched(self, direction: Floats, prior: Floats) -> Floats:
+    def _longest_passing(self, direction: Floats, prior: Floats) -> Floats:
         """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
         low, high = 0.0, MAX_PRIOR_SIGMAS
         while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
-            passes = self.within(self.errors(middle * direction * prior)).all()
+            passes = self.is_within_limits(self.test_errors(middle * direction * prior)).all()
             low, high = (middle, high) if passes else (low, middle)
         return low * direction * prior
 
@@ -174,14 +176,15 @@ class AcceptancePlan:
 class AcceptancePrediction:
     """Predicted results of the tests."""
 
-    errors: Floats
-    sigma: Floats
-    """Expected errors and their standard deviations including noise, (k, 2) [m]."""
-    passes: Floats
+    expected_errors: Floats
+    """Expected errors, (k, 2) [m]."""
+    error_sigmas: Floats
+    """Standard deviations of the errors including noise, (k, 2) [m]."""
+    pass_probabilities: Floats
     """Probability that each test passes, (k,)."""
-    all_pass: float
+    p_all_pass: float
     """Probability that all tests pass."""
-    group_passes: dict[str, float]
+    p_group_passes: dict[str, float]
     """Probability that all tests of a group pass."""
 
 
@@ -196,29 +199,37 @@ def point_errors_by_constant(construction: Construction, points: Floats, scale: 
         for s in np.diag(scale)
     ]
     moved = np.stack([c.ravel() for c in columns], axis=1)
-    return without_rigid_motion(moved, points - points.mean(axis=0))
+    return remove_rigid_motion(moved, points - points.mean(axis=0))
 
 
-def _root(covariance: Floats) -> Floats:
+def _covariance_root(covariance: Floats) -> Floats:
     """Root (p, r) of a possibly singular covariance matrix."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def predicted(
-    plan: AcceptancePlan, prediction: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
+def predicted_result(
+    plan: AcceptancePlan,
+    prediction: AcceptancePrediction,
+    prior: Floats,
+    acceptance: AcceptanceSettings,
+    *,
+    instrument_text: str,
 ) -> AcceptanceFile:
-    """Result for predicted tests of an instrument `of`; `prior` (p,) [SI] are standard deviations of its constants."""
-    values, rms, largest = plan.worst_passing(prior, envelope())
-    size = np.hypot(prediction.errors[:, 0], prediction.errors[:, 1])
-    signed = np.where(plan.is_length, prediction.errors[:, 0], size)
-    expanded = 2 * np.sqrt(np.sum(prediction.sigma**2, axis=1))
+    """Result for predicted tests of an instrument `instrument_text`.
+
+    `prior` (p,) [SI] are standard deviations of its constants.
+    """
+    values, rms, largest = plan.worst_passing(prior, envelope_points())
+    size = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
+    signed = np.where(plan.is_length, prediction.expected_errors[:, 0], size)
+    expanded = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
         for t, limit, e, u, p in zip(
             plan.tests,
-            *(np.asarray(x) / MICROMETRE for x in (plan.limits, signed, expanded)),
-            prediction.passes,
+            *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, signed, expanded)),
+            prediction.pass_probabilities,
             strict=True,
         )
     )
@@ -228,30 +239,30 @@ def predicted(
         SensitivityEntry(
             name=p.name,
             unit=p.unit,
-            prior_sigma=float(prior[k] / p.factor),
-            smallest_failing=float(smallest[k] / p.factor),
+            prior_sigma=float(prior[k] / p.si_per_display_unit),
+            smallest_failing=float(smallest[k] / p.si_per_display_unit),
             test=first[k].name if np.isfinite(smallest[k]) else "",
         )
         for k, p in enumerate(parameters)
     )
-    chance = f"{100 * prediction.all_pass:.1f} %" if prediction.all_pass < 0.9995 else "more than 99.9 %"
-    weakest = min(zip(prediction.passes, plan.tests, strict=True), key=lambda pair: pair[0])
-    sentence = f"{of} passes all {len(tests)} tests with a probability of {chance}"
+    chance = f"{100 * prediction.p_all_pass:.1f} %" if prediction.p_all_pass < 0.9995 else "more than 99.9 %"
+    weakest = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
+    sentence = f"{instrument_text} passes all {len(tests)} tests with a probability of {chance}"
     if weakest[0] < 0.9995:
         sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
     return AcceptanceFile(
         title=acceptance.title,
         kind="predicted",
-        plan=acceptance.plan,
+        plan=acceptance.plan_name,
         specification=plan.specification,
-        assumption=plan.specification.assumption,
-        passes=prediction.all_pass,
+        assumption=plan.specification.assumption_sentence,
+        passes=prediction.p_all_pass,
         sentence=sentence,
-        groups=group_entries(tests, prediction.group_passes, predicted=True),
+        groups=group_entries(tests, prediction.p_group_passes, predicted=True),
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(
-            constants={p.name: float(v / p.factor) for p, v in zip(parameters, values, strict=True)},
+            constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
             rms_um=rms / MICROMETRE,
             largest_um=largest / MICROMETRE,
         ),

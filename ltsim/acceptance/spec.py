@@ -14,37 +14,40 @@ from pydantic import Field, model_validator
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, as_setup_error
 from ltsim.geometry.polar import from_polar
-from ltsim.recordings.files import comma_number, shown
-from ltsim.recordings.settings import checked, read_toml
+from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.recordings.specification import Specification, completed_figures, sheet
+from ltsim.recordings.specification import Specification, complete_figures, data_sheet
 from ltsim.recordings.tables.sheets import table_rows
 
-Kind = Literal["length", "two-face"]
-COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+TestKind = Literal["length", "two-face"]
+TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+"""Columns of a user's table of tests."""
 MIN_REFERENCE_LENGTH = 2.3
 """[m] Shortest reference length of ASME B89.4.19-2006."""
-NEAR_DISTANCE = 1.2
+CLOSEST_POSITION_DISTANCE = 1.2
 """[m] Distance of the instrument from the reference length in the tests at the closest position."""
-Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
-LENGTHS_OPEN: Standard = "iso-10360-10"
+StandardName = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
+TWO_FACE_ONLY_STANDARD: StandardName = "iso-10360-10"
 """Standard of which only the two-face tests are published openly; its lengths are read from a table."""
 
 
 @dataclass(frozen=True)
-class Test:
+class AcceptanceTest:
     """Test position: a length between two points, or a target in both faces (equal points) [m]."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
 
     name: str
     group: str
-    kind: Kind
+    kind: TestKind
     first: tuple[float, float, float]
+    """First point of a length, or the target of a two-face test, (3,) [m]."""
     second: tuple[float, float, float]
+    """Second point, (3,) [m]."""
 
 
-def asme(height: float, ranges: Sequence[float]) -> list[Test]:
+def asme_tests(height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
     """Tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
 
     36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
@@ -58,44 +61,46 @@ def asme(height: float, ranges: Sequence[float]) -> list[Test]:
     (2009) 21-35; the standard's own text prevails, and a plan of one's own can be read from a table.
     """
     quarters = (0, 90, 180, 270)
-    tests = list(_two_faces((1.0, 3.0, 6.0), height, quarters))
-    tests.append(_bar("horizontal", 0.0, NEAR_DISTANCE, 0))
+    tests = list(_two_face_tests((1.0, 3.0, 6.0), height, quarters))
+    tests.append(_length_test("horizontal", 0.0, CLOSEST_POSITION_DISTANCE, 0))
     for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
-        tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
+        tests += [_length_test(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
     near, *others = ranges
     return tests + [
-        Test(f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0))
+        AcceptanceTest(
+            f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0)
+        )
         for far in others
     ]
 
 
-def iso_two_face(height: float) -> list[Test]:
+def iso_two_face_tests(height: float) -> list[AcceptanceTest]:
     """Two-face tests (18) of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
 
     Distances and number are those of manufacturers (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
     at 6 m); the lengths of that standard are read from a table.
     """
-    return list(_two_faces((1.5, 6.0), height, (0, 120, 240)))
+    return list(_two_face_tests((1.5, 6.0), height, (0, 120, 240)))
 
 
-def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[Test]:
+def _two_face_tests(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[AcceptanceTest]:
     """Two-face tests at horizontal distances: on the floor, level with the head, and at twice its height."""
     for away in distances:
         for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
             for turn in turns:
-                point = _turned(np.array([away, 0.0, z]), turn)
-                yield Test(f"two-face {away:g} m {where} {turn} deg", "two-face", "two-face", point, point)
+                point = _rotated_about_vertical(np.array([away, 0.0, z]), turn)
+                yield AcceptanceTest(f"two-face {away:g} m {where} {turn} deg", "two-face", "two-face", point, point)
 
 
-def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
+def _length_test(group: str, tilt: float, distance: float, turn: int) -> AcceptanceTest:
     """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
     half = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
-    middle = np.array([away, 0.0, 0.0])
-    ends = _turned(middle - half, turn), _turned(middle + half, turn)
-    return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
+    middle = np.array([distance, 0.0, 0.0])
+    ends = _rotated_about_vertical(middle - half, turn), _rotated_about_vertical(middle + half, turn)
+    return AcceptanceTest(f"{group} {distance:g} m {turn} deg", group, "length", *ends)
 
 
-def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
+def _rotated_about_vertical(point: Floats, turn: float) -> tuple[float, float, float]:
     """Point rotated about the vertical by an angle [deg]."""
     angle = np.radians(turn)
     x, y, z = point
@@ -106,53 +111,55 @@ def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
     )
 
 
-def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[Test]:
+def builtin_tests(standard: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
     """Tests of a standard, as far as they are published openly."""
-    return asme(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face(height)
+    return asme_tests(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
 @as_setup_error()
-def read_tests(file: Path) -> list[Test]:
-    """Tests of a user's table with the columns `COLUMNS`; in a two-face test the second point is empty.
+def read_tests(file: Path) -> list[AcceptanceTest]:
+    """Tests of a user's table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
 
     Raises SetupError with row, column, value and expected value.
     """
-    tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
+    tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
     if not tests:
         raise SetupError(f"{file}: no test; expected one row per test")
     return tests
 
 
-def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[tuple[int, dict[str, str]]]:
+def read_table_rows(
+    file: Path, needed: Sequence[str], optional: Sequence[str] = ()
+) -> list[tuple[int, dict[str, str]]]:
     """Lines and rows of a user-written table with the columns `needed`; raises RecordError or SetupError."""
     header, rows = table_rows(file)
     missing = [name for name in needed if name not in header]
     if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *further])}")
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *optional])}")
     return rows
 
 
-def _test(row: dict[str, str], line: int, file: Path) -> Test:
+def _test_from_row(row: dict[str, str], line: int, file: Path) -> AcceptanceTest:
     kind = row["kind"]
     if kind not in ("length", "two-face"):
-        raise SetupError(f"{file}: row {line}: kind is '{shown(kind)}', expected length or two-face")
-    first = _point(row, "1", line, file)
-    second = _point(row, "2", line, file) if kind == "length" else first
+        raise SetupError(f"{file}: row {line}: kind is '{quoted_text(kind)}', expected length or two-face")
+    first = _point_from_row(row, "1", line, file)
+    second = _point_from_row(row, "2", line, file) if kind == "length" else first
     if kind == "length" and first == second:
         raise SetupError(f"{file}: row {line}: both ends of the length are the same point")
     name = row["test"] or f"{kind} in line {line}"
-    return Test(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
+    return AcceptanceTest(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
 
 
-def _point(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
+def _point_from_row(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
     columns = (f"{axis}{end}_mm" for axis in "xyz")
-    values = [comma_number(row[name], file=file, row=line, column=name) / 1000 for name in columns]
+    values = [parse_comma_number(row[name], file=file, row=line, column=name) / 1000 for name in columns]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
         raise SetupError(f"{file}: row {line}: point {end} is on the instrument's own axis, which has no azimuth")
     return values[0], values[1], values[2]
 
 
-def envelope() -> Floats:
+def envelope_points() -> Floats:
     """Points (180, 3) [m] around an instrument.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
@@ -163,10 +170,11 @@ def envelope() -> Floats:
     return from_polar(np.stack([range_.ravel(), azimuth.ravel(), elevation.ravel()], axis=1))
 
 
-MOST = 10_000_000
+MAX_TRIALS = 10_000_000
+"""Largest number of random draws."""
 
 
-class Acceptance(TomlSection):
+class AcceptanceSettings(TomlSection):
     """Contents of an acceptance file. Names of other files are relative to it.
 
     Without a `recording` or `measured` the tests are predicted: for the instrument of a `calibration`, or for any
@@ -178,7 +186,7 @@ class Acceptance(TomlSection):
     """Format and version of this file."""
     title: str = ""
     """Free text."""
-    standard: Standard | None = None
+    standard: StandardName | None = None
     """Built-in set of tests."""
     lengths: str | None = None
     """Tests in addition to the built-in ones: a CSV with one row per test; `iso-10360-10` requires
@@ -208,7 +216,7 @@ class Acceptance(TomlSection):
     """Recording of a network measured by the instrument, whose targets provide reference lengths."""
     measured: str | None = None
     """Measured errors: a CSV with the columns test, error_um and U_um (may be empty)."""
-    trials: Annotated[int, Field(ge=1000, le=MOST)] = 20_000
+    trials: Annotated[int, Field(ge=1000, le=MAX_TRIALS)] = 20_000
     """Number of random draws for the probability to pass."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Root of the random draws."""
@@ -219,7 +227,7 @@ class Acceptance(TomlSection):
             raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests is None):
             raise ValueError("it should give either standard or tests")
-        if self.standard == LENGTHS_OPEN and self.lengths is None:
+        if self.standard == TWO_FACE_ONLY_STANDARD and self.lengths is None:
             raise ValueError("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10")
         if self.lengths is not None and self.standard is None:
             raise ValueError("it should give lengths only with a standard; tests already holds the whole plan")
@@ -233,36 +241,36 @@ class Acceptance(TomlSection):
         if self.specification is not None:
             return self.specification
         try:
-            return sheet(self.instrument or "")
+            return data_sheet(self.instrument or "")
         except ModelError as problem:
             raise SetupError(str(problem)) from None
 
     @property
-    def plan(self) -> str:
+    def plan_name(self) -> str:
         """Name of the set of tests: the standard, or the file."""
         return self.tests or self.standard or ""
 
-    def plan_of(self, folder: Path) -> tuple[Test, ...]:
+    def make_tests(self, folder: Path) -> tuple[AcceptanceTest, ...]:
         """Tests of the standard or of files relative to `folder`; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
         further = [] if self.lengths is None else read_tests(folder / self.lengths)
-        return (*builtin(self.standard, self.height_mm / 1000, self.ranges_m), *further)
+        return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *further)
 
 
 @as_setup_error()
-def load_acceptance(path: Path) -> Acceptance:
+def load_acceptance(path: Path) -> AcceptanceSettings:
     """The contents of an acceptance file; raises SetupError."""
-    return acceptance_from(read_toml(path, "acceptance file"), path)
+    return validate_acceptance(read_toml(path, "acceptance file"), path)
 
 
 @as_setup_error()
-def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
+def validate_acceptance(data: Mapping[str, Any], file: object) -> AcceptanceSettings:
     """Validated tables of an acceptance file; `file` is named in errors. Raises SetupError."""
     name, specification = data.get("instrument"), data.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": completed_figures(name, specification)}
+            data = {**data, "specification": complete_figures(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
-    return checked(data, Acceptance, "acceptance file", file)
+    return validate_settings(data, AcceptanceSettings, "acceptance file", file)

@@ -8,24 +8,30 @@ from typing import Any
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
-from ltsim.acceptance.prediction import AcceptancePlan, predicted
-from ltsim.acceptance.spec import Acceptance, Test, acceptance_from, load_acceptance, rows_of
+from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
+from ltsim.acceptance.spec import (
+    AcceptanceSettings,
+    AcceptanceTest,
+    load_acceptance,
+    read_table_rows,
+    validate_acceptance,
+)
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import across_beam, from_polar
+from ltsim.geometry.polar import from_polar, parts_across_beam
 from ltsim.physics.model.construction import construction_of_design, declared_construction
 from ltsim.recordings import read
-from ltsim.recordings.files import comma_number, shown
+from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.specification import Specification
 
 
-def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str | Path = ".") -> AcceptanceFile:
+def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
     """Acceptance tests of a tracker against its manufacturer's limits: prediction, or evaluation of measured errors.
 
     Parameters
@@ -49,42 +55,42 @@ def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str 
     """
     place = Path(folder)
     if isinstance(acceptance, Mapping):
-        acceptance = acceptance_from({"format": "ltsim-acceptance/1", **acceptance}, "acceptance")
-    elif not isinstance(acceptance, Acceptance):
+        acceptance = validate_acceptance({"format": "ltsim-acceptance/1", **acceptance}, "acceptance")
+    elif not isinstance(acceptance, AcceptanceSettings):
         place, acceptance = Path(acceptance).parent, load_acceptance(Path(acceptance))
-    return _answer(acceptance, place)
+    return _predict_or_evaluate(acceptance, place)
 
 
-def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
+def _predict_or_evaluate(acceptance: AcceptanceSettings, folder: Path) -> AcceptanceFile:
     limits = acceptance.limits
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)
-        result = by_network(recording, limits)
+        result = network_test_entries(recording, limits)
         return evaluated_result(result, acceptance, recording=recording)
-    tests = acceptance.plan_of(folder)
-    nominal = limits.instrument(acceptance.construction)
+    tests = acceptance.make_tests(folder)
+    nominal = limits.to_instrument(acceptance.construction)
     built = construction_of_design(acceptance.construction)
     if acceptance.measured is not None:
         plan = AcceptancePlan(tests, built, limits, nominal.noise)
-        errors = read_measured(folder / acceptance.measured, tests, plan.limits)
+        errors = read_measured(folder / acceptance.measured, tests, plan.permissible_errors)
         return evaluated_result(errors, acceptance, remaining=len(tests) - len(errors))
-    calibration = None if acceptance.calibration is None else _usable_calibration(folder / acceptance.calibration)
+    calibration = None if acceptance.calibration is None else _load_calibration(folder / acceptance.calibration)
     built = built if calibration is None else calibration.construction
     prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
     if calibration is None:
-        mean, covariance = np.zeros(built.size), np.diag(prior**2)
+        mean, covariance = np.zeros(built.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
-        mean, covariance = calibration.values[0], calibration.covariance
+        mean, covariance = calibration.estimates[0], calibration.covariance
         of = "the instrument without calibration"
         if acceptance.corrected:
-            mean, of = mean - calibration.applied[0], "the corrected instrument"
+            mean, of = mean - calibration.applied_values[0], "the corrected instrument"
     plan = AcceptancePlan(tests, built, limits, nominal.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
-    return predicted(plan, outcome, prior, acceptance, of=of)
+    return predicted_result(plan, outcome, prior, acceptance, instrument_text=of)
 
 
-def _usable_calibration(path: Path) -> Calibration:
+def _load_calibration(path: Path) -> Calibration:
     """Calibration of the instrument; raises SetupError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
@@ -96,40 +102,42 @@ MIN_UNCERTAINTY_RATIO = 4.0
 """Smallest ratio of limit to expanded uncertainty for simple acceptance of an error (ASME B89.7.3.1)."""
 
 
-def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
+def make_test_entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
     """Entry of an error with its limit [m]; `expanded` is its uncertainty (95 %), NaN if not given."""
     sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
 
 @as_setup_error()
-def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
+def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and (optionally) ``U_um``.
 
     Raises SetupError for a test that is unknown or repeated, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
     entries: dict[str, TestEntry] = {}
-    for line, row in rows_of(file, ("test", "error_um"), ("U_um",)):
+    for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
         if name in entries:
-            raise SetupError(f"{file}: row {line}: test '{shown(name)}' has two rows; keep its largest error")
+            raise SetupError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
         numbers = [
-            comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
+            parse_comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
             for name in ("error_um", "U_um")
         ]
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        entries[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
+        entries[name] = make_test_entry(
+            name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
+        )
     if not entries:
         raise SetupError(f"{file}: no measured errors; expected one row per test")
     return list(entries.values())
 
 
-def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
+def network_test_entries(recording: Recording, specification: Specification) -> list[TestEntry]:
     """Errors of lengths measured by each station, relative to the adjusted network, and differences between faces.
 
     The network is adjusted together with the instrument's constants, so that its lengths do not contain their errors.
@@ -144,18 +152,18 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.measured.all(axis=1) & ~adjustment.gross
+    whole = recording.measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
             _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
         )
-        errors += _lengths(station, adjustment, front or back, specification)
+        errors += _length_entries(station, adjustment, front or back, specification)
         both = sorted(front.keys() & back.keys())
         for t in both:
-            error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
-            limit = float(specification.of_two_faces(front[t][None])[0])
-            errors.append(entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
+            error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
+            limit = float(specification.two_face_limits(front[t][None])[0])
+            errors.append(make_test_entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
     if not errors:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
     return errors
@@ -168,11 +176,11 @@ def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
     return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
 
-def _lengths(
+def _length_entries(
     station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
 ) -> list[TestEntry]:
     """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
-    names, points = adjusted.recording.targets, adjusted.state.points
+    names, points = adjusted.recording.targets, adjusted.state.target_points
     placed = [
         t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
     ]
@@ -185,32 +193,36 @@ def _lengths(
     direction = way / length[:, None]
     expanded = 2 * np.sqrt(_length_variance(adjusted, placed, pairs, direction))
     error = np.linalg.norm(second - first, axis=1) - length
-    limit = specification.of_lengths(first, second)
+    limit = specification.length_limits(first, second)
     named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
     return [
-        entry(name, f"lengths from {station}", float(e), float(m), float(u))
+        make_test_entry(name, f"lengths from {station}", float(e), float(m), float(u))
         for name, e, m, u in zip(named, error, limit, expanded, strict=True)
     ]
 
 
-def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
+def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
     """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of adjusted targets.
 
     The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
     length does not depend on the datum.
     """
-    unknowns, size = adjusted.problem.unknowns, len(placed)
-    columns = unknowns.target[placed].ravel()
-    unit = np.zeros((unknowns.size, len(columns)))
+    unknowns, size = adjusted.problem.unknowns, len(points)
+    columns = unknowns.target_columns[points].ravel()
+    unit = np.zeros((unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    joint = adjusted.factor.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
-    a, b = np.searchsorted(placed, pairs).T
+    joint = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    a, b = np.searchsorted(points, pairs).T
     both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
     return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
 
 
 def evaluated_result(
-    tests: Sequence[TestEntry], acceptance: Acceptance, *, remaining: int = 0, recording: Recording | None = None
+    tests: Sequence[TestEntry],
+    acceptance: AcceptanceSettings,
+    *,
+    remaining: int = 0,
+    recording: Recording | None = None,
 ) -> AcceptanceFile:
     """Result for measured errors; `remaining` is the number of tests without one."""
     groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
@@ -230,11 +242,15 @@ def evaluated_result(
     content = AcceptanceFile(
         title=acceptance.title,
         kind="measured" if recording is None else "network",
-        plan=acceptance.plan if recording is None else "own network",
+        plan=acceptance.plan_name if recording is None else "own network",
         specification=acceptance.limits,
         passes=float(not failed and not remaining),
         sentence=sentence,
         groups=group_entries(tests, groups, predicted=False),
         tests=tuple(tests),
     )
-    return content if recording is None else content.model_copy(update={"recording": SourceEntry.of(recording)})
+    return (
+        content
+        if recording is None
+        else content.model_copy(update={"recording": SourceEntry.from_recording(recording)})
+    )

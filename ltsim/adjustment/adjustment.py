@@ -10,36 +10,36 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.datum import InnerDatum
-from ltsim.adjustment.frame import on_a_line
+from ltsim.adjustment.frame import are_collinear
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reliability import (
-    FEW,
+    MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
     noisy_groups,
     normalised,
     p_value_of_tau,
-    redundancy_of,
+    redundancy_numbers,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
-from ltsim.adjustment.stochastic_model import Component
+from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, planned, solve
-from ltsim.solve.projection import Projection, projection_of
+from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
+from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
-MAX_TESTED_JOINTLY = 300
+MAX_SUCCESSIVELY_TESTED_READINGS = 300
 """Number of poorly fitting readings above which they are not tested one after another, because the
 noise is then wrong.
 """
@@ -50,9 +50,13 @@ class FlaggedReading:
     """Reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
-    observable: int
-    size: float
-    w: float
+    """Row number of the pointing."""
+    observable_column: int
+    """Column of the reading: 0 range, 1 azimuth, 2 elevation."""
+    estimated_error: float
+    """Estimated gross error of the reading [m, rad]."""
+    normalised_residual: float
+    """Normalised residual, the statistic of the w-test."""
     p_value: float
     """Probability that a recording without errors has a reading with as large a test statistic."""
 
@@ -62,12 +66,14 @@ class Adjustment(Result):
     """Adjusted network: estimates, covariances, tests and warnings."""
 
     problem: NetworkProblem
-    solution: Solution[State]
-    gross: Bools
+    """Least-squares problem that was solved."""
+    solution: Solution[NetworkState]
+    """Solution of the problem, with its convergence status."""
+    is_gross_pointing: Bools
     """Flags of the pointings rejected as gross errors before the adjustment, (n,)."""
-    components: tuple[Component, ...] = ()
+    variance_components: tuple[VarianceComponent, ...] = ()
     """Estimated noise of groups of readings, if requested; `problem.sigma` contains it."""
-    unconnected: tuple[str, ...] = ()
+    unconnected_targets: tuple[str, ...] = ()
     """Targets that the recording does not determine; their places in the state have no meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
     """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
@@ -75,7 +81,7 @@ class Adjustment(Result):
     """Tests of the coordinates that only define the axes, including those removed from the datum."""
     duplicate_rows: int = 0
     """Number of rows that repeat others in every digit and are not used."""
-    causes: tuple[str, ...] = ()
+    cause_sentences: tuple[str, ...] = ()
     """Sentences on the simple causes that were identified and are in the model."""
     datum: InnerDatum | None = None
     """Datum of the covariances; None for that of the factor (pose of the first station)."""
@@ -83,17 +89,17 @@ class Adjustment(Result):
     def _lines(self) -> list[str]:
         return [
             f"Adjustment: {self.recording.headline}",
-            f"{self.construction.name}, {self.construction.size} instrument parameters, "
+            f"{self.construction.name}, {self.construction.n_parameters} instrument parameters, "
             f"{len(self.effects)} further effects; {self.solution.status.value}",
             f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
-            f"{int(self.rejected.sum())} readings left out",
+            f"{int(self.is_rejected.sum())} readings left out",
         ]
 
     @classmethod
-    def planned(
+    def from_plan(
         cls,
         recording: Recording,
-        state: State,
+        state: NetworkState,
         construction: Construction | None = None,
         effects: Sequence[Signature] = (),
         prior: ParameterPrior | None = None,
@@ -113,15 +119,15 @@ class Adjustment(Result):
         prior : ParameterPrior, optional
             What is known of these; default what the set-up states.
         """
-        model = MeasurementModel(recording, construction or ideal(), tuple(effects))
-        if len(state.extra) != model.extra_size:
-            state = replace(state, extra=np.zeros(model.extra_size))
-        problem = drop_undetermined(NetworkProblem.of(model, prior=prior), state)
+        model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
+        if len(state.extra_parameters) != model.n_extra_parameters:
+            state = replace(state, extra_parameters=np.zeros(model.n_extra_parameters))
+        problem = drop_undetermined(NetworkProblem.from_model(model, prior=prior), state)
         lost = pose_defect(problem, state)
         if lost:
             raise NetworkError(lost)
         try:
-            solution = planned(problem, state)
+            solution = solution_for_plan(problem, state)
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
             if not recording.measured[:, 1:].any():
@@ -145,14 +151,14 @@ class Adjustment(Result):
         return self.problem.model.effects
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted poses, targets and parameters."""
         return self.solution.x
 
     @property
     def chi2(self) -> float:
         """Weighted sum of squared residuals of readings, reference values and priors."""
-        return self.solution.cost
+        return self.solution.sum_of_squares
 
     @property
     def dof(self) -> int:
@@ -171,44 +177,44 @@ class Adjustment(Result):
 
     def require_solution(self) -> None:
         """Check that the network has a solution; raises ConvergenceError, or NetworkError if the cause is known."""
-        why = "" if self.solution.converged else self._no_solution()
+        why = "" if self.solution.has_converged else self._missing_solution_sentence()
         if why:
             raise NetworkError(f"the adjustment did not converge; {why}")
         self.solution.require_success()
 
-    def _no_solution(self) -> str:
+    def _missing_solution_sentence(self) -> str:
         """Sentence on the cause of a missing solution: no scale, or a station with collinear common targets.
 
         It is empty for none.
         """
         recording, problem = self.recording, self.problem
-        held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.mark_control)
-        lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
+        held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.mark_control_rows)
+        differences = problem.difference_rows.declared_components[:, :2].any()
+        lengths = problem.used_readings[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
             cure = "rough coordinates of two targets of the datum would"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True
-        shared[problem.levels.station] = False  # to an upright station a line is as good as any targets
+        shared[problem.level_rows.station_indices] = False  # to an upright station a line is as good as any targets
         for name, station_targets in zip(recording.stations, shared & (shared.sum(axis=0) > 1), strict=True):
-            if station_targets.sum() > 2 and on_a_line(self.state.points[station_targets]):
+            if station_targets.sum() > 2 and are_collinear(self.state.target_points[station_targets]):
                 shared_count = station_targets.sum()
-                return (
-                    f"station {name}: the {shared_count} targets that it shares with others lie on a line, or nearly so"
-                )
+                which = f"the {shared_count} targets that it shares with others"
+                return f"station {name}: {which} lie on a line, or nearly so"
         return ""
 
     @property
-    def factor(self) -> BlockFactor:
+    def factorised_normals(self) -> BlockFactor:
         """Factorised normal equations at the optimum."""
         self.require_solution()
         assert self.solution.factor is not None
         return self.solution.factor
 
     @cached_property
-    def projection(self) -> Projection:
+    def residual_projector(self) -> Projection:
         """Projector of errors of the rows (readings, reference values, priors, datum) onto the residual space."""
-        return projection_of(self.solution.system, self.solution.factor)
+        return make_projection(self.solution.system, self.solution.factor)
 
     @cached_property
     def sightings(self) -> Sightings:
@@ -218,7 +224,7 @@ class Adjustment(Result):
     @cached_property
     def residuals(self) -> Floats:
         """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN if not measured."""
-        return self.problem.residuals(self.problem.model.predict(self.state))
+        return self.problem.reading_residuals(self.problem.model.predict(self.state))
 
     @cached_property
     def redundancy(self) -> Floats:
@@ -226,17 +232,17 @@ class Adjustment(Result):
 
         It is NaN for unused readings.
         """
-        return redundancy_of(self.problem, self.factor)
+        return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
-    def w(self) -> Floats:
+    def normalised_residuals(self) -> Floats:
         """Normalised residuals (n, 3), standard normal for a correct model (Baarda 1968)."""
         return normalised(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets(self) -> tuple[Ints, float, float]:
         """Targets with larger noise than others, and the scatter of both groups of readings over the declared noise."""
-        return noisy_groups(self.w, self.redundancy, self.recording.target)
+        return noisy_groups(self.normalised_residuals, self.redundancy, self.recording.target)
 
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
@@ -247,72 +253,73 @@ class Adjustment(Result):
     def undetermined_targets(self) -> tuple[str, ...]:
         """Names of measured targets that the readings in use do not determine and that are not adjusted."""
         measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
-        lost = self.problem.structure.unseen & (measured > 0)
+        lost = self.problem.structure.is_unmeasured_target & (measured > 0)
         return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
         """Names of stations whose pose is partly undetermined; the undetermined part keeps its start value."""
-        held = self.problem.structure.held_poses.any(axis=1)
+        held = self.problem.structure.fixed_pose_components.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
-    def rejected(self) -> Bools:
+    def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, except to targets that all usable readings leave undetermined."""
-        whole = drop_undetermined(replace(self.problem, use=self.recording.usable), self.state)
-        return whole.use & ~self.problem.use
+        whole = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
+        return whole.used_readings & ~self.problem.used_readings
 
-    def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
+    def flagged_readings(
+        self, level: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
+    ) -> list[FlaggedReading]:
         """Readings whose residuals are too large for chance, over the whole recording, the most significant first.
 
         They are tested one after another, so that the effect of an outlier on other residuals does not count against
         these; readings that no test distinguishes from an outlier are listed with it. The test uses the declared noise
-        (w), or sigma0 `estimated` from the residuals (tau); if there are `noisy_targets`, each with enough readings has
-        a separate sigma0.
+        (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are `noisy_targets`, each with enough
+        readings has a separate sigma0.
         """
-        use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
+        use, target, count = self.problem.used_readings, self.recording.target, int(self.problem.used_readings.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
-        scale = np.full(use.shape, self.sigma0 if estimated else 1.0)
-        dof = np.full(use.shape, float(self.dof) if estimated else np.inf)
-        if estimated and len(self.noisy_targets[0]):
+        scale = np.full(use.shape, self.sigma0 if uses_estimated_noise else 1.0)
+        dof = np.full(use.shape, float(self.dof) if uses_estimated_noise else np.inf)
+        if uses_estimated_noise and len(self.noisy_targets[0]):
             checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
-            group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
+            group = np.where(checks >= MIN_DOF_FOR_ESTIMATED_NOISE, np.arange(len(checks)), -1)[target]
             for rows_of_group in (group == number for number in np.unique(group)):
                 dof[rows_of_group] = np.nansum(self.redundancy[rows_of_group])
                 scale[rows_of_group] = np.linalg.norm(whitened[rows_of_group]) / np.sqrt(dof[rows_of_group])
-        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count) < level)
+        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.normalised_residuals)) / scale, dof, count) < level)
         rows, columns = np.nonzero(flagged)
         unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
-        outliers = iterative_snooping(
-            whitened[flagged], self._redundancy_block(rows, columns), scale[flagged], dof[flagged], count, level
-        )
+        block = self._redundancy_block(rows, columns)
+        outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, level)
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
         """Effect (k, k) of an error of each of some readings in use on the residuals of all of them, in sigmas.
 
-        More than `MAX_TESTED_JOINTLY` readings are treated independently.
+        More than `MAX_SUCCESSIVELY_TESTED_READINGS` readings are treated independently.
         """
-        use = self.problem.use
-        if len(rows) > MAX_TESTED_JOINTLY:
+        use = self.problem.used_readings
+        if len(rows) > MAX_SUCCESSIVELY_TESTED_READINGS:
             return np.diag(self.redundancy[rows, columns])
         at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
-        design = as_dense(self.solution.system.design[at])
-        response = self.factor.covariance_columns(np.ascontiguousarray(design.T))
+        design = to_dense(self.solution.system.design[at])
+        response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(at)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
-        covariance = self.factor.inverse_of_sets(columns)
-        return covariance if self.datum is None else self.datum.transformed(covariance, columns)
+        covariance = self.factorised_normals.inverse_of_sets(columns)
+        return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
     def reduced_covariance(self) -> Floats:
         """Covariance (K, K) of the reduced unknowns: poses, some targets, instrument parameters, additional effects."""
-        covariance = self.factor.reduced_covariance()
+        covariance = self.factorised_normals.reduced_covariance()
         if self.datum is None:
             return covariance
-        return self.datum.transformed(covariance[None], np.arange(len(covariance))[None])[0]
+        return self.datum.transform_covariance(covariance[None], np.arange(len(covariance))[None])[0]
 
     @property
     def instrument_covariance(self) -> Floats:
@@ -321,17 +328,17 @@ class Adjustment(Result):
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) of one instrument's parameters [SI]."""
-        return self.covariance_of(self.problem.unknowns.instrument[[instrument]])[0]
+        return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
     def constants_covariance(self) -> Floats:
         """Covariance (I p, I p) of the parameters of all instruments [SI], instrument by instrument."""
-        return self.covariance_of(self.problem.unknowns.instrument.reshape(1, -1))[0]
+        return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the parameters of additional effects [SI]."""
-        return self.covariance_of(self.problem.unknowns.extra[None])[0]
+        return self.covariance_of(self.problem.unknowns.extra_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -339,11 +346,11 @@ class Adjustment(Result):
 
         It is NaN for unknowns that the readings in use do not determine and that are held fixed.
         """
-        covariance = self.covariance_of(self.problem.unknowns.pose)
-        held = self.problem.structure.held_poses
+        covariance = self.covariance_of(self.problem.unknowns.pose_columns)
+        held = self.problem.structure.fixed_pose_components
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
-        over = self.problem.marks.target
-        flat = np.flatnonzero((over >= 0) & self.open_heights[over])
+        over = self.problem.marks.target_indices
+        flat = np.flatnonzero((over >= 0) & self.undetermined_heights[over])
         covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
@@ -351,32 +358,33 @@ class Adjustment(Result):
     def target_covariance(self) -> Floats:
         """Covariance (T, 3, 3) [m^2] of each target; NaN if the readings in use do not determine it."""
         unknowns = self.problem.unknowns
-        covariance = np.empty((len(unknowns.target), 3, 3))
-        is_reduced = unknowns.target[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factor.inverse_of_sets(unknowns.target[is_reduced])
-        blocks = self.factor.block_covariance()
-        covariance[~is_reduced] = blocks[(unknowns.target[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
+        covariance = np.empty((len(unknowns.target_columns), 3, 3))
+        is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
+        covariance[is_reduced] = self.factorised_normals.inverse_of_sets(unknowns.target_columns[is_reduced])
+        blocks = self.factorised_normals.block_covariance()
+        covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:
-            covariance = self.datum.transformed(covariance, unknowns.target)
+            covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
             covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
-        covariance[self.problem.structure.unseen] = np.nan
-        covariance[self.open_heights, 2] = covariance[self.open_heights, :, 2] = np.nan
+        covariance[self.problem.structure.is_unmeasured_target] = np.nan
+        covariance[self.undetermined_heights, 2] = covariance[self.undetermined_heights, :, 2] = np.nan
         return covariance
 
     @cached_property
-    def open_heights(self) -> Bools:
+    def undetermined_heights(self) -> Bools:
         """Flags (T,) of the targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
-    def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
+    def with_effects(self, effects: Sequence[Signature], start: NetworkState) -> Adjustment:
         """Adjustment with other additional effects, and with equal readings, weights and datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
-        new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
-        problem = replace(new, gauge=old.gauge, differences=old.differences, levels=old.levels, yaws=old.yaws)
-        solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
+        new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
+        problem = replace(new, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
+        problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
+        solution = solve(problem, replace(start, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
@@ -387,5 +395,6 @@ class Adjustment(Result):
         Raises ModelError for an unknown target, and for targets that do not fix the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
-        datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
+        names = every if names is None else names
+        datum = InnerDatum.from_points(self.problem, self.state, self.factorised_normals, names)
         return replace(self, datum=datum)

@@ -12,27 +12,28 @@ from types import MappingProxyType
 import numpy as np
 
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.frame import misses
+from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
-from ltsim.physics.model.measurement import verticals
+from ltsim.geometry.alignment import align_robustly
+from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
-CLEARLY = 10.0
+MIN_MIRROR_MISCLOSURE_RATIO = 10.0
 """Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
 mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
 """
-SHAPE = 0.05
+MAX_RELATIVE_MISCLOSURE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).
 """
-NOTHING: Mapping[str, Axes] = MappingProxyType({})
+NO_AXES: Mapping[str, Axes] = MappingProxyType({})
+"""Empty table of axes: every declared coordinate is used."""
 
 
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
@@ -49,14 +50,14 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
     there = np.array([points[name] for name in common])
-    _check_shape(here, there, source)
+    _require_network_shape(here, there, source)
     if recording.setup.curved:
-        recording = _with_verticals(recording, common, there)
+        recording = _with_plumb_lines(recording, common, there)
     return _with_datum(recording, {name: points[name] for name in common}, source=source)
 
 
-def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -> Recording:
-    """Recording with the plumb lines of a sphere at its levelled stations, in the axes of points `there` (k, 3) [m].
+def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:
+    """Recording with the plumb lines of a sphere at levelled stations, in the axes of given points (k, 3) [m].
 
     The axes of the coordinates may be anywhere on the sphere, so that plumb lines do not determine them; the adjusted
     network, aligned to the points, gives the plumb lines in these axes.
@@ -64,8 +65,8 @@ def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -
     adjusted = adjust(recording)
     at = np.array([recording.targets.index(name) for name in names])
     determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = robust_align(adjusted.state.points[at[determined]], there[determined])
-    lines = verticals(adjusted.recording) @ turn.T
+    turn, _ = align_robustly(adjusted.state.target_points[at[determined]], declared_points[determined])
+    lines = plumb_directions(adjusted.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
         station = recording.station_setup(name)
@@ -87,9 +88,9 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     three = (origin, x_axis, xy_plane)
     for name in three:
         if name not in recording.targets:
-            raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
+            raise RecordError(f"the axes name the target '{quoted_text(name)}', which was never measured")
     _require_free_frame(recording)
-    a, b, c = adjust(recording).state.points[[recording.targets.index(name) for name in three]]
+    a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
     ahead = float(across @ along) / length if length else 0.0
@@ -103,7 +104,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     return framed.replace(notes=(*framed.notes, note))
 
 
-def with_control(recording: Recording, path: Path) -> Recording:
+def with_control_points(recording: Recording, path: Path) -> Recording:
     """Recording with the coordinates of a list as known ones, each with its standard deviation.
 
     The list is read by `read_points` and needs standard deviations; a missing coordinate is not known.
@@ -111,13 +112,17 @@ def with_control(recording: Recording, path: Path) -> Recording:
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
     listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
-    for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
+    for name, place, covariance, line in zip(
+        listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
+    ):
         is_given = np.isfinite(place)
         if name not in recording.targets or not is_given.any():
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
-            message = f"has no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            message = (
+                f"has no standard deviation of {quoted_text(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            )
             raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
@@ -139,24 +144,27 @@ def _require_free_frame(recording: Recording, source: str | None = None) -> None
         raise RecordError(message, file=source)
 
 
-def _check_shape(here: Floats, there: Floats, source: str) -> None:
-    """Check that coordinates (k, 3) are not collinear and have the scale and handedness of the network `here`.
+def _require_network_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
+    """Check of coordinates (k, 3): they are not collinear and have the scale and handedness of the network.
 
     Raises RecordError.
     """
-    mirror = here * [1.0, 1.0, -1.0]
+    mirror = network_points * [1.0, 1.0, -1.0]
     try:
-        motions = robust_align(here, there), robust_align(mirror, there)
+        motions = align_robustly(network_points, declared_points), align_robustly(mirror, declared_points)
     except NetworkError:
         raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
-    typical = float(np.median(misses(here, there, motions[0])))
-    is_mirrored = float(np.median(misses(mirror, there, motions[1]))) * CLEARLY < typical
-    pairs = np.triu_indices(len(here), 1)
-    lengths, declared = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (here, there))
-    if typical < SHAPE * float(np.median(lengths)) and not is_mirrored:
+    typical = float(np.median(alignment_distances(network_points, declared_points, motions[0])))
+    is_mirrored = (
+        float(np.median(alignment_distances(mirror, declared_points, motions[1]))) * MIN_MIRROR_MISCLOSURE_RATIO
+        < typical
+    )
+    pairs = np.triu_indices(len(network_points), 1)
+    lengths, declared = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (network_points, declared_points))
+    if typical < MAX_RELATIVE_MISCLOSURE * float(np.median(lengths)) and not is_mirrored:
         return
     scale = float(np.median(declared / np.maximum(lengths, 1e-9)))
-    if abs(scale - 1.0) > SHAPE:
+    if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
     why = "they are left-handed" if is_mirrored else "check the hall and the names"
@@ -165,12 +173,15 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
 
 
 def _with_datum(
-    recording: Recording, places: Mapping[str, Floats], held: Mapping[str, Axes] = NOTHING, source: str | None = None
+    recording: Recording,
+    declared_places: Mapping[str, Floats],
+    axes_by_target: Mapping[str, Axes] = NO_AXES,
+    source: str | None = None,
 ) -> Recording:
-    """Recording with its datum at these places, each along the axes `held` (default all)."""
+    """Recording with its datum at these places, each along the axes `axes_by_target` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
-    for name, place in places.items():
+    for name, place in declared_places.items():
         x, y, z = (place / MILLIMETRE).tolist()
-        update = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": held.get(name, "xyz")}
+        update = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": axes_by_target.get(name, "xyz")}
         targets[name] = targets.get(name, Target()).model_copy(update=update)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "axes": source}))

@@ -12,31 +12,31 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.frame import Pairs, misses
+from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
-from ltsim.physics.model.measurement import verticals
+from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
-CLOSE = 1e-3
-"""[m] Largest distance of a corrected pointing from its target."""
-ASIDE = 0.002
+MAX_CORRECTED_DISTANCE = 1e-3
+"""Largest distance [m] of a corrected pointing from its target."""
+MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
 """Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
-MOST_ROWS = 6
-"""Largest number of rows in a sentence."""
-WRONG_SHAPE = 5e-3
+MAX_LISTED_ROWS = 6
+"""Largest number of rows that a sentence lists."""
+MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
 
 
 @dataclass(frozen=True)
-class GrossFinding:
+class IdentifiedBlunder:
     """Blunder that was identified in some pointings."""
 
     effect: str
@@ -53,55 +53,55 @@ class GrossFinding:
     """Standard deviation of the size [m]; 0 if the network does not determine it."""
 
 
-Correction = tuple[GrossFinding, Floats, Ints]
-"""Blunder, and the corrected readings (k, 3) and targets (k,) of its rows."""
+CorrectedBlunder = tuple[IdentifiedBlunder, Floats, Ints]
+"""Tuple of a blunder, and the corrected readings (k, 3) and targets (k,) of its rows."""
 
 
-def apply_corrections(recording: Recording, understood: Sequence[Correction]) -> Recording:
+def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]) -> Recording:
     """Recording with corrected blunders."""
-    if not understood:
+    if not blunders:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
-    for finding, read, target_read in understood:
+    for finding, read, target_read in blunders:
         readings[finding.rows], target[finding.rows] = read, target_read
     return recording.replace(readings=readings, target=target)
 
 
-def detect_blunders(adjustment: Adjustment) -> list[Correction]:
+def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
     """Blunders that explain pointings rejected by an adjustment: after correction they agree with their targets."""
-    remaining, corrections = adjustment.gross.copy(), []
-    for kind in (_swaps, _heights, _slips):
+    remaining, corrections = adjustment.is_gross_pointing.copy(), []
+    for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
             corrections.append(mend)
             remaining[mend[0].rows] = False
     return corrections
 
 
-def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) of targets in the network frame from readings (k, 3) in place of those of some rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
-    local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
-    turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
-    placed: Floats = turned + adjustment.state.position[station]
-    lift = adjustment.problem.model.geometry(adjustment.state).lift
+    local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
+    turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
+    placed: Floats = turned + adjustment.state.station_positions[station]
+    lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
     return placed if lift is None else placed - lift[rows]
 
 
-def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Distances (k,) [m] between the targets and the points of these readings (k, 3)."""
-    goal = adjustment.state.points[adjustment.recording.target[rows]]
-    return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
+    goal = adjustment.state.target_points[adjustment.recording.target[rows]]
+    return np.asarray(np.linalg.norm(_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
-def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
+def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
-    recording, points = adjustment.recording, adjustment.state.points
+    recording, points = adjustment.recording, adjustment.state.target_points
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
         return
-    gaps = np.linalg.norm(_placed(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
+    gaps = np.linalg.norm(_points_from_readings(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
     nearest = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(at)), nearest] < CLOSE
+    lands = gaps[np.arange(len(at)), nearest] < MAX_CORRECTED_DISTANCE
     pairs: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest != recording.target[at])):
         a, b = sorted((int(recording.target[at[i]]), int(nearest[i])))
@@ -117,65 +117,75 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
+            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
-        finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
+        finding = IdentifiedBlunder("target-swap", at[members], (station,), names, (), gap, sentence)
         yield finding, recording.readings[at[members]], nearest[members]
 
 
-def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
+def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
         return
-    off = _placed(adjustment, recording.readings[at], at) - adjustment.state.points[recording.target[at]]
-    up = verticals(recording)[recording.station[at]]
+    off = (
+        _points_from_readings(adjustment, recording.readings[at], at)
+        - adjustment.state.target_points[recording.target[at]]
+    )
+    up = plumb_directions(recording)[recording.station[at]]
     high = np.einsum("ni,ni->n", off, up)
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
-    is_vertical = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
+    is_vertical = aside < np.minimum(
+        np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(high)),
+        adjustment.sightings.range_[at],
+    )
     lift = np.zeros((len(recording), 3))
     lift[at] = high[:, None] * up
     corrected = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(high) > CLOSE) & is_vertical):
-        key = int(recording.station[at[i]]), int(recording.target[at[i]]), round(high[i] / (2.0 * CLOSE))
+    for i in np.flatnonzero((np.abs(high) > MAX_CORRECTED_DISTANCE) & is_vertical):
+        key = (
+            int(recording.station[at[i]]),
+            int(recording.target[at[i]]),
+            round(high[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
+        )
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
-        numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
+        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
             f"{where} the target: the height of the target or the instrument is wrong."
         )
         rows_ = at[members]
-        finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)
+        finding = IdentifiedBlunder("outlier", rows_, (station,), (target,), (), abs(size), sentence)
         yield finding, corrected[rows_], recording.target[rows_]
 
 
-def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
+def _unit_and_face_errors(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings in another unit or on the other face; identified rows are removed from `rows` before the next step."""
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
-        readings = slip.corrected(recording.readings)
+        readings = slip.without_error(recording.readings)
         at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
-        at = at[_misses(adjustment, readings[at], at) < CLOSE]
+        at = at[_target_distances(adjustment, readings[at], at) < MAX_CORRECTED_DISTANCE]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
-            size = float(_misses(adjustment, recording.readings[at], at).max())
+            size = float(_target_distances(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
             sentence = f"{len(at)} pointings at station {where} contain {slip.cause}."
             observables = tuple(OBSERVABLES[c] for c in slip.columns)
-            finding = GrossFinding(effect, at, stations, targets, observables, size, sentence)
+            finding = IdentifiedBlunder(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]
 
 
-def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
     """Recording in which stations in another unit or convention are corrected, and the blunders.
 
     Returns
@@ -185,39 +195,39 @@ def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
     findings : list of GrossFinding
         One per station; empty if all shapes agree or no blunder explains the difference.
     """
-    findings: list[GrossFinding] = []
-    odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE)
+    findings: list[IdentifiedBlunder] = []
+    odd = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
         return recording, _mirrored_pair(recording) if len(odd) else findings
     for s in odd.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
-        for effect in WrongUnit.at(name):
+        for effect in WrongUnit.at_station(name):
             readings = recording.readings.copy()
-            readings[rows] = effect.slip.corrected(readings[rows])
+            readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
-            if _misfit(corrected, [s])[s] < WRONG_SHAPE:
+            if _cloud_misfits(corrected, [s])[s] < MIN_CLOUD_MISFIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
-                sentence = f"Station {name} was recorded with {effect.slip.cause}."
-                findings.append(GrossFinding(effect.name, rows, (name,), (), effect.observables, size, sentence))
+                sentence = f"Station {name} was recorded with {effect.transcription_error.cause}."
+                findings.append(IdentifiedBlunder(effect.name, rows, (name,), (), effect.observables, size, sentence))
                 recording = corrected
                 break
     return recording, findings
 
 
-def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
+def _mirrored_pair(recording: Recording) -> list[IdentifiedBlunder]:
     """Blunder of two stations whose networks are mirror images: one of them may have clockwise azimuths."""
     readings = recording.readings.copy()
     rows = np.flatnonzero(recording.station == 1)
     readings[rows, 1] *= -1.0
-    if not _misfit(recording.with_readings(readings))[1] < WRONG_SHAPE:
+    if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_CLOUD_MISFIT:
         return []
     a, b = recording.stations
     sentence = f"Stations {a} and {b} saw mirror images: the azimuths of one of them are clockwise."
-    return [GrossFinding(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
+    return [IdentifiedBlunder(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
 
 
-def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
     """Recording with faces corrected according to the raw elevations, and the blunders.
 
     If most pointings of face 2 have elevations of face 1, this is a convention of the file and no blunder.
@@ -244,18 +254,18 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
             "of the other face."
         )
         observables = ("azimuth", "elevation")
-        findings.append(GrossFinding("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
+        findings.append(IdentifiedBlunder("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
     return recording.replace(face=np.where(wrong, shown, recording.face)), findings
 
 
-def _misfit(recording: Recording, stations: Collection[int] | None = None) -> Floats:
+def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
     """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets.
 
     By default all pairs count; with `stations` only the pairs with one of these.
     """
-    pairs, count = Pairs.of(recording), len(recording.stations)
+    pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
     cloud = np.full((count, len(recording.targets), 3), np.nan)
-    cloud[pairs.station, pairs.target] = pairs.points
+    cloud[pairs.station_indices, pairs.target_indices] = pairs.local_points
     has_target, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
     for a, b in combinations(range(count), 2):
         common = has_target[a] & has_target[b]
@@ -263,7 +273,7 @@ def _misfit(recording: Recording, stations: Collection[int] | None = None) -> Fl
             continue
         here, there = cloud[b][common], cloud[a][common]
         try:
-            gaps[a, b] = gaps[b, a] = float(np.median(misses(here, there, robust_align(here, there))))
+            gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
         except NetworkError:
             continue
     is_compared = np.isfinite(gaps).any(axis=1)

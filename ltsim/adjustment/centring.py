@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.blunders import GrossFinding
+from ltsim.adjustment.blunders import IdentifiedBlunder
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_LEVEL, SINGLE_LEVEL
 from ltsim.core.arrays import Floats
@@ -21,25 +21,30 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
-DAY = 86_400.0
+"""Column of a recording with the day of each pointing."""
+DAY_LENGTH = 86_400.0
 """Length [s] of a day."""
-MOST = 6
+MAX_CENTRING_ERRORS = 6
 """Largest number of estimated centring errors: a network with more has to be measured again."""
-MOVED = "target-moved"
+CENTRING_EFFECT_NAME = "target-moved"
 """Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 
 
 @dataclass(frozen=True)
-class Occupation:
+class MarkOccupation:
     """Occupation of a mark by an instrument or target on one day.
 
-    `sign` (n,) is +1 for pointings to it and -1 for those from it, for which the shift has the opposite sign.
+    `shift_sign` (n,) is +1 for pointings to it and -1 for those from it, for which the shift has the opposite sign.
     """
 
     mark: str
+    """Name of the mark."""
     role: str
+    """Equipment on the mark: instrument or target."""
     day: str
-    sign: Floats
+    """Day of the occupation."""
+    shift_sign: Floats
+    """Sign (n, 1) with which a shift of the equipment acts on each pointing."""
 
 
 @dataclass(frozen=True)
@@ -48,30 +53,30 @@ class CentringErrors:
 
     If heights of heads are observations, shifts are in plan only, (k, 2) and (k, 2, 2).
 
-    `without` is the adjustment without them.
+    `adjustment_without_errors` is the adjustment without them.
     """
 
-    without: Adjustment
-    occupations: tuple[Occupation, ...]
-    values: Floats
+    adjustment_without_errors: Adjustment
+    occupations: tuple[MarkOccupation, ...]
+    shifts: Floats
     covariance: Floats
     chi2: float
     dof: int
-    noisy: tuple[str, ...]
+    noisy_targets: tuple[str, ...]
     """Targets whose readings are weighted by their observed noise."""
 
     @property
     def sizes(self) -> list[tuple[float, float]]:
         """Size of each shift and its standard deviation [m]."""
-        lengths = np.linalg.norm(self.values, axis=1)
-        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.values, self.covariance, self.values)) / lengths
+        lengths = np.linalg.norm(self.shifts, axis=1)
+        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.covariance, self.shifts)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
 
     @property
-    def named(self) -> list[str]:
+    def descriptions(self) -> list[str]:
         """Descriptions of the centring errors: mark, role, day, size and components."""
         named = []
-        for occupation, value, (size, sigma) in zip(self.occupations, self.values, self.sizes, strict=True):
+        for occupation, value, (size, sigma) in zip(self.occupations, self.shifts, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             size_text = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
             named.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
@@ -80,34 +85,44 @@ class CentringErrors:
     @property
     def sentence(self) -> str:
         """Sentence on all centring errors and their effect on the global test."""
-        counted = f" (readings to {', '.join(self.noisy)} weighted by their observed noise)" if self.noisy else ""
-        before, after = f"{self.without.chi2:.1f}/{self.without.dof}", f"{self.chi2:.1f}/{self.dof}"
+        counted = (
+            f" (readings to {', '.join(self.noisy_targets)} weighted by their observed noise)"
+            if self.noisy_targets
+            else ""
+        )
+        before, after = (
+            f"{self.adjustment_without_errors.chi2:.1f}/{self.adjustment_without_errors.dof}",
+            f"{self.chi2:.1f}/{self.dof}",
+        )
         return (
-            f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.named)}; "
+            f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
             f"with them in the model chi2/dof falls from {before} to {after}{counted}"
         )
 
 
-def days_of(recording: Recording) -> tuple[str, ...]:
+def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
-    if not recording.has_clock or np.ptp(recording.time) < DAY:
+    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH:
         return ()
-    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY)
+    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH)
 
 
-def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation]:
-    """Occupations of all marks that were occupied on several days; `marks` (S,) are the marks under the stations."""
-    days = np.array(days_of(recording))
+def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:
+    """Occupations of all marks that were occupied on several days.
+
+    `station_marks` (S,) are the marks under the stations.
+    """
+    days = np.array(days_of_pointings(recording))
     if len(set(days.tolist())) < 2:
         return []
     all_occupations = []
-    from_mark, to_mark = np.array(marks)[recording.station], np.array(recording.targets)[recording.target]
-    for mark in dict.fromkeys(name for name in marks if name):
+    from_mark, to_mark = np.array(station_marks)[recording.station], np.array(recording.targets)[recording.target]
+    for mark in dict.fromkeys(name for name in station_marks if name):
         roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
         of_mark = [
-            Occupation(mark, role, day, sign * (rows & (days == day)))
+            MarkOccupation(mark, role, day, sign * (rows & (days == day)))
             for role, rows, sign in roles
             for day in dict.fromkeys(days[rows].tolist())
         ]
@@ -116,31 +131,31 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
     return all_occupations
 
 
-def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
+def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     """Centring errors of a network; None if there are none, or if the global test passes without them."""
-    if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_LEVEL:
+    if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_LEVEL:
         return None
-    candidates = occupations(adjustment.recording, adjustment.problem.marks.names)
+    candidates = repeated_occupations(adjustment.recording, adjustment.problem.marks.mark_names)
     if not candidates:
         return None
     noisy = tuple(adjustment.recording.targets[t] for t in adjustment.noisy_targets[0])
     adjustment = _with_noise_by_target(adjustment)
     chi2, dof = adjustment.chi2, adjustment.dof
-    space = whole = ResidualSpace.of(adjustment)
+    space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
-    axes = 2 if model.heads else 3  # heights that the network corrects anyway tell of no tripod
-    ordinary = max((heads.sigma for heads in model.heads), default=0.0)
-    moves = model.linearised(adjustment.state).by_target[:, :, :axes]
-    shifts = {i: whole.whiten(moves * occupation.sign[:, None, None]) for i, occupation in enumerate(candidates)}
+    axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
+    ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
+    moves = model.linearised(adjustment.state).target_derivatives[:, :, :axes]
+    shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
     chosen: list[int] = []
-    while len(chosen) < min(MOST, len(candidates)):
+    while len(chosen) < min(MAX_CENTRING_ERRORS, len(candidates)):
         fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in chosen}
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
-        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residual)[0]) < ordinary:
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < ordinary:
             break
         space, chi2, dof = space.augmented(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
@@ -148,29 +163,38 @@ def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in chosen]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, axes)
+    values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
     number = range(len(chosen))
     spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
     return CentringErrors(adjustment, tuple(candidates[i] for i in chosen), values, spread, chi2, dof, noisy)
 
 
-def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]:
+def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
     """Recording with the readings corrected for centring errors, and a finding for each error."""
-    moved, recording = centring_errors(adjustment), adjustment.recording
+    moved, recording = estimate_centring_errors(adjustment), adjustment.recording
     if moved is None:
         return recording, []
     by_target, readings, findings = (
-        adjustment.problem.model.linearised(adjustment.state).by_target,
+        adjustment.problem.model.linearised(adjustment.state).target_derivatives,
         recording.readings,
         [],
     )
     for occupation, value, (size, sigma), named in zip(
-        moved.occupations, moved.values, moved.sizes, moved.named, strict=True
+        moved.occupations, moved.shifts, moved.sizes, moved.descriptions, strict=True
     ):
-        readings = readings - occupation.sign[:, None] * (by_target[:, :, : len(value)] @ value)
+        readings = readings - occupation.shift_sign[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"Centring error (tripod not re-occupied at the same point): {named}."
         findings.append(
-            GrossFinding(MOVED, np.flatnonzero(occupation.sign), (), (occupation.mark,), (), size, sentence, sigma)
+            IdentifiedBlunder(
+                CENTRING_EFFECT_NAME,
+                np.flatnonzero(occupation.shift_sign),
+                (),
+                (occupation.mark,),
+                (),
+                size,
+                sentence,
+                sigma,
+            )
         )
     return recording.with_readings(readings), findings
 

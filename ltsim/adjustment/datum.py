@@ -16,43 +16,43 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.measurement import State
-from ltsim.solve.design import NORMAL_RANK_TOLERANCE, unit_diagonal
+from ltsim.physics.model.measurement import NetworkState
+from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
-PASSES = 5
+MAX_DATUM_STEPS = 5
 """Largest number of steps of the free motion to the datum: each is linear in the rotation; convergence is quadratic."""
 
 
 @dataclass(frozen=True)
-class Tied:
+class DatumPoints:
     """Points that define a datum."""
 
     columns: Ints
     """Columns (k, 3) of the points in the vector of unknowns."""
-    places: Floats
+    points: Floats
     """Coordinates (k, 3) [m] of the points."""
-    approximate: Floats
+    approximate_points: Floats
     """Approximate coordinates (k, 3) [m]; NaN if not declared, and along axes outside the datum."""
-    counts: Bools
+    defines_datum: Bools
     """Flags (k, 3) of the coordinates that define the datum."""
 
     @classmethod
-    def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
+    def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
         """Datum points by name: targets, or marks under set-ups."""
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
-        stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
+        stations = {name: i for i, name in reversed(list(enumerate(marks.mark_names))) if name and name not in targets}
         columns, places, approximate, axes = [], [], [], []
         for name in names:
             if name in targets:
-                columns.append(unknowns.target[targets[name]])
-                places.append(state.points[targets[name]])
+                columns.append(unknowns.target_columns[targets[name]])
+                places.append(state.target_points[targets[name]])
             elif name in stations:
-                columns.append(unknowns.pose[stations[name], :3])
-                places.append(state.position[stations[name]] - marks.offset[stations[name]])
+                columns.append(unknowns.pose_columns[stations[name], :3])
+                places.append(state.station_positions[stations[name]] - marks.instrument_offsets[stations[name]])
             else:
                 raise unknown_name("target of the datum", name, [*targets, *stations])
             setup = recording.target_setup(name)
@@ -63,33 +63,40 @@ class Tied:
         return cls(np.array(columns), np.array(places), goal, counts)
 
 
-def chosen_datum(problem: NetworkProblem) -> tuple[str, ...]:
+def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
     """Names of the measured points that the set-up selects for the datum."""
     recording = problem.model.recording
-    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
+    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.mark_names)])
     return tuple(name for name in reached if recording.target_setup(name).datum)
 
 
-def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
+def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
     """State moved rigidly to the declared coordinates of the datum points, with the rotation angle [rad] and scale."""
     turned = 0.0
-    for _ in range(PASSES):
-        tied = Tied.of(problem, state, names)
-        has_goal = np.isfinite(tied.approximate)
+    for _ in range(MAX_DATUM_STEPS):
+        tied = DatumPoints.from_names(problem, state, names)
+        has_goal = np.isfinite(tied.approximate_points)
         if not has_goal.any():
             break
-        centre = tied.places[has_goal.any(axis=1)].mean(axis=0)
-        free, grown = about(problem.free, centre), _growth(problem)
-        motion = np.hstack([rigid_motion(tied.places, centre) @ free, grown(tied.places - centre)])[has_goal.ravel()]
-        gap = (tied.approximate - tied.places)[has_goal]
+        centre = tied.points[has_goal.any(axis=1)].mean(axis=0)
+        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement(problem)
+        motion = np.hstack([rigid_motion_design(tied.points, centre) @ free, grown(tied.points - centre)])[
+            has_goal.ravel()
+        ]
+        gap = (tied.approximate_points - tied.points)[has_goal]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount[: free.shape[1]]).reshape(2, 3)
         rotation, more = from_rotation_vector(turn), amount[free.shape[1] :]
         position, points = (
             arm @ rotation.T + (grown(arm) @ more).reshape(-1, 3) + centre + shift
-            for arm in (state.position - centre, state.points - centre)
+            for arm in (state.station_positions - centre, state.target_points - centre)
         )
-        state = replace(state, position=position, rotation=rotation @ state.rotation, points=points)
+        state = replace(
+            state,
+            station_positions=position,
+            station_rotations=rotation @ state.station_rotations,
+            target_points=points,
+        )
         moved = float(np.linalg.norm([*turn, *more]))
         turned += moved
         if moved < 1e-12:
@@ -109,67 +116,77 @@ class InnerDatum:
     in Linear Models (1999), 3.3.
     """
 
-    motion: Floats
+    free_motions: Floats
     """Matrix G of the free motions of all unknowns, (u, f)."""
-    carried: Floats
+    transformation: Floats
     """Matrix U of the transformation, (u, f)."""
-    middle: Floats
+    motion_covariance: Floats
     """Matrix M of the transformation, (f, f)."""
-    names: tuple[str, ...] = ()
+    point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
     @classmethod
-    def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
-        """Datum in which some unknowns fix the motions (u, f); `spread` multiplies with the covariance (u, u).
+    def from_columns(cls, motion: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]) -> InnerDatum:
+        """Datum in which some unknowns fix the motions (u, f).
+
+        `multiply_covariance` multiplies with the covariance (u, u).
 
         Raises ModelError if these unknowns do not fix the motions.
         """
         held = np.zeros_like(motion)
         held[columns.ravel()] = motion[columns.ravel()]
         square = held.T @ motion
-        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
+        if not np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
             raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
         back = np.linalg.inv(square)
-        response = spread(held)
+        response = multiply_covariance(held)
         return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
 
     @classmethod
-    def of(cls, problem: NetworkProblem, state: State, factor: BlockFactor, names: Sequence[str]) -> InnerDatum | None:
+    def from_points(
+        cls, problem: NetworkProblem, state: NetworkState, factor: BlockFactor, names: Sequence[str]
+    ) -> InnerDatum | None:
         """Datum of some points; None if no motion is free.
 
         Raises ModelError if these points do not fix the free motions.
         """
-        if not problem.free.shape[1]:
+        if not problem.free_motions.shape[1]:
             return None
-        tied, unknowns = Tied.of(problem, state, names), problem.unknowns
-        centre = tied.places.mean(axis=0)
-        free, grown = about(problem.free, centre), _growth(problem)
-        turn = np.hstack([free[3:], np.zeros((3, len(problem.structure.scale)))])
-        motion = np.zeros((unknowns.size, turn.shape[1]))
-        motion[unknowns.pose[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose), 1))
-        for columns, places in ((unknowns.target, state.points), (unknowns.pose[:, :3], state.position)):
-            motion[columns.ravel()] = np.hstack([rigid_motion(places, centre) @ free, grown(places - centre)])
-        return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
+        tied, unknowns = DatumPoints.from_names(problem, state, names), problem.unknowns
+        centre = tied.points.mean(axis=0)
+        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement(problem)
+        turn = np.hstack([free[3:], np.zeros((3, len(problem.structure.scale_target)))])
+        motion = np.zeros((unknowns.n_columns, turn.shape[1]))
+        motion[unknowns.pose_columns[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose_columns), 1))
+        for columns, places in (
+            (unknowns.target_columns, state.target_points),
+            (unknowns.pose_columns[:, :3], state.station_positions),
+        ):
+            motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
+        return replace(
+            cls.from_columns(motion, tied.columns[tied.defines_datum], factor.covariance_columns),
+            point_names=tuple(names),
+        )
 
-    def transformed(self, covariance: Floats, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of sets of unknowns (c, k), transformed to this datum from that of `spread`."""
-        motion, carried = self.motion[columns], self.carried[columns]
+    def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
+        """Covariances (c, k, k) of sets of unknowns (c, k), transformed to this datum."""
+        motion, carried = self.free_motions[columns], self.transformation[columns]
         across = motion @ np.swapaxes(carried, 1, 2)
-        middle = motion @ self.middle @ np.swapaxes(motion, 1, 2)
+        middle = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
         return np.asarray(covariance - across - np.swapaxes(across, 1, 2) + middle)
 
 
-def _growth(problem: NetworkProblem) -> Callable[[Floats], Floats]:
+def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:
     """Displacements of places by a unit change of scale, as a function of their vectors (k, 3) from the centre.
 
     Their shape is (3 k, 1), or (3 k, 0) if the scale is determined. Heights of a network in plan do not change.
     """
-    axes = np.array([1.0, 1.0, float(problem.use[:, 2].any())])
-    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale)))
+    axes = np.array([1.0, 1.0, float(problem.used_readings[:, 2].any())])
+    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale_target)))
 
 
-def about(free: Floats, centre: Floats) -> Floats:
+def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
     """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
-    about = free.copy()
-    about[:3] += np.cross(free[3:].T, centre).T
+    about = free_motions.copy()
+    about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

@@ -7,40 +7,45 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.datum import InnerDatum, about, chosen_datum, moved_to_datum
-from ltsim.adjustment.frame import misses
+from ltsim.adjustment.datum import InnerDatum, motions_about_centre, move_to_datum, selected_datum_names
+from ltsim.adjustment.frame import alignment_distances
+from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.problem import WEAK, NetworkProblem
-from ltsim.adjustment.reference_tests import KINDS, SIGMAS, ReferenceTest, snoop_references
-from ltsim.adjustment.reference_values import Kind
-from ltsim.adjustment.rows import Marks
-from ltsim.adjustment.significance import MAJORITY, UNCHECKED
-from ltsim.adjustment.snooping import copied_rows, drop_undetermined, screen_gross_errors, snoop_readings
-from ltsim.adjustment.stochastic_model import Component, Grouping, estimated_components
-from ltsim.adjustment.structure import refusing_singular
+from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
+from ltsim.adjustment.reference_tests import (
+    MAX_NORMALISED_ERROR,
+    TESTED_REFERENCE_KINDS,
+    ReferenceTest,
+    snoop_references,
+)
+from ltsim.adjustment.reference_values import ReferenceKind
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.snooping import drop_undetermined, is_copied_row, screen_gross_errors, snoop_readings
+from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, estimate_variance_components
+from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.alignment import align_robustly
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
 
-TURNED = 1e-7
+MAX_DATUM_ROTATION = 1e-7
 """Rotation [rad] into the datum above which the network is linearised again."""
 
-SIDEWAYS = 1e-6
+MAX_SIDEWAYS_MOTION = 1e-6
 """Largest sideways motion per radian, relative to the offset, at which a free rotation does not change the offset of an
 SMR.
 """
 
 
-@refusing_singular
+@raise_for_singular_network
 @single_threaded
 def adjust(
     recording: Recording,
@@ -48,14 +53,14 @@ def adjust(
     *,
     effects: Sequence[Signature] = (),
     sigma: Floats | None = None,
-    use: Bools | None = None,
-    start: State | None = None,
+    reading_mask: Bools | None = None,
+    start: NetworkState | None = None,
     datum: Sequence[str] | None = None,
     robust: bool = False,
-    variance_components: Grouping | None = None,
-    held_to: float = WEAK,
+    variance_components: NoiseGrouping | None = None,
+    effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
     prior: ParameterPrior | None = None,
-    judging: Collection[Kind] = KINDS,
+    tested_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
 ) -> Adjustment:
     """Network adjustment: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -65,10 +70,10 @@ def adjust(
     construction : Construction, optional
         Default: an ideal tracker without parameters.
     effects : sequence of Signature
-        Additional effects to estimate, free except for `held_to`.
+        Additional effects to estimate, free except for `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the declared noise.
-    use : (n, 3) bool, optional
+    reading_mask : (n, 3) bool, optional
         Readings to use; default all.
     start : State, optional
         Where to start; default from the recording alone. With a start no pointing is screened out.
@@ -78,12 +83,12 @@ def adjust(
         Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
     variance_components : str, optional
         Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
-    held_to : float
+    effect_prior_sigma : float
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
         readings hardly determine from wandering off.
     prior : ParameterPrior, optional
         What is known of the instrument parameters; default what the set-up states.
-    judging : collection of str
+    tested_kinds : collection of str
         Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
 
     Returns
@@ -103,53 +108,59 @@ def adjust(
         When `datum` names a target that does not exist, or too few.
     """
     recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
-    built, copied = construction or ideal(), copied_rows(recording)
+    built, copied = construction or ideal_construction(), is_copied_row(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
-    _check_marks(recording)
+    _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     searched = start is None
     if start is None:
         _, network, gross, lost = screen_gross_errors(recording)
-        gross &= ~_over_wrong_marks(recording, gross)
-        parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
-        start = State(*network, parameters)
-    recording = with_plumb_lines(recording, start.position)
+        gross &= ~_is_over_wrong_mark(recording, gross)
+        parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
+        start = NetworkState(*network, parameters)
+    recording = with_plumb_lines(recording, start.station_positions)
     model = MeasurementModel(recording, built, tuple(effects))
-    if len(start.extra) != model.extra_size:
-        start = replace(start, extra=np.zeros(model.extra_size))
+    if len(start.extra_parameters) != model.n_extra_parameters:
+        start = replace(start, extra_parameters=np.zeros(model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    chosen = keep if use is None else keep & use
-    find = snoop_readings if robust else _solved
-    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
-    _check_normals(whole)
-    start = replace(start, position=whole.marks.on_marks(start.position, start.points))
+    chosen = keep if reading_mask is None else keep & reading_mask
+    find = snoop_readings if robust else _solve
+    whole = NetworkProblem.from_model(
+        model, sigma=sigma, reading_mask=chosen, effect_prior_sigma=effect_prior_sigma, prior=prior
+    )
+    _require_fixed_smr_offsets(whole)
+    start = replace(
+        start, station_positions=whole.marks.positions_on_marks(start.station_positions, start.target_points)
+    )
     whole = drop_undetermined(whole, start)
     wrong: tuple[ReferenceTest, ...] = ()
-    if searched and not (robust and whole.knows_nothing):
-        sound = replace(whole, use=whole.use & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = snoop_references(sound, solve(sound, start), judging)
+    if searched and not (robust and whole.has_no_references):
+        sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
+        problem, solution, wrong = snoop_references(sound, solve(sound, start), tested_kinds)
         model = problem.model
     if wrong and robust:
-        whole, start = whole.on(model), solution.x
+        whole, start = whole.with_model(model), solution.x
     if robust or not searched:
         problem, solution = find(whole, start)
-    components: tuple[Component, ...] = ()
+    components: tuple[VarianceComponent, ...] = ()
     if variance_components is not None:
-        problem, solution, components = estimated_components(problem, solution, variance_components, find, whole.use)
+        problem, solution, components = estimate_variance_components(
+            problem, solution, variance_components, find, whole.used_readings
+        )
     unconnected = tuple(recording.targets[i] for i in np.flatnonzero(lost))
-    gross &= ~problem.use.any(axis=1)
+    gross &= ~problem.used_readings.any(axis=1)
     adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, duplicate_rows=int(copied.sum()))
-    return _in_datum(adjustment, datum)
+    return _transform_to_datum(adjustment, datum)
 
 
-def _check_marks(recording: Recording) -> None:
+def _require_unoccupied_targets(recording: Recording) -> None:
     """Check that no set-up measures the mark below its own head, at range zero; raises NetworkError."""
     if not any(recording.station_setup(name).over for name in recording.stations):
         return
-    marks = Marks.of(recording)
-    height = np.linalg.norm(marks.offset, axis=1)
-    is_mark_of_station = marks.target[recording.station] == recording.target
+    marks = StationMarks.from_recording(recording)
+    height = np.linalg.norm(marks.instrument_offsets, axis=1)
+    is_mark_of_station = marks.target_indices[recording.station] == recording.target
     rows = np.flatnonzero(is_mark_of_station & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
     if len(rows):
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
@@ -159,65 +170,71 @@ def _check_marks(recording: Recording) -> None:
         )
 
 
-def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
+def _is_over_wrong_mark(recording: Recording, gross: Bools) -> Bools:
     """Flags (n,) of the pointings of set-ups over marks with mostly gross errors: their mark or height may be wrong."""
     count = len(recording.stations)
     over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
-    return np.asarray((over & (share > MAJORITY))[recording.station])
+    return np.asarray((over & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 
-def _check_normals(problem: NetworkProblem) -> None:
+def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
-    off = smr_lift(problem.model.recording)
+    off = smr_radius_offsets(problem.model.recording)
     if off is None:
         return
-    turned = np.cross(problem.free[3:].T[:, None], off[None])
-    if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
+    turned = np.cross(problem.free_motions[3:].T[:, None], off[None])
+    if np.any(np.abs(turned) > MAX_SIDEWAYS_MOTION * np.abs(off).max()):
         raise NetworkError(
             "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
             "normals: declare three known points (known_mm), or levels where all such normals are vertical"
         )
 
 
-def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
+def _solve(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
     return problem, solve(problem, start)
 
 
-def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustment:
+def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
     """Adjustment with state and covariances in the datum of selected targets, or of those in the set-up.
 
     Of the targets in the set-up only the determined ones are used; if they only define axes, they are tested first.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
-    names = [name for name in chosen_datum(problem) if name not in lost] if chosen is None else list(chosen)
-    for name in chosen or ():
+    names = (
+        [name for name in selected_datum_names(problem) if name not in lost]
+        if datum_names is None
+        else list(datum_names)
+    )
+    for name in datum_names or ():
         if name in lost:
             raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
-    if not names or solution.factor is None or not problem.free.shape[1]:
+    if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
-    if adjustment.recording.setup.axes and chosen is None and len(names) >= LEAST:
-        fitted, tests = fitted_axes(adjustment, names)
+    if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_AXIS_POINTS:
+        fitted, tests = fit_axes(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
-        adjustment, names = replace(adjustment, problem=problem, axis_tests=tests), list(chosen_datum(problem))
-    state, turned = moved_to_datum(problem, solution.x, names)
+        adjustment, names = replace(adjustment, problem=problem, axis_tests=tests), list(selected_datum_names(problem))
+    state, turned = move_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
-    if turned > TURNED:  # The factor belongs to the frame it was computed in.
+    if turned > MAX_DATUM_ROTATION:  # The factor belongs to the frame it was computed in.
         again = solve(problem, state)
-        solution = replace(again, iterations=solution.iterations, status=solution.status)
-    tied = None if solution.factor is None else InnerDatum.of(problem, state, solution.factor, names)
+        solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
+    tied = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
     return replace(adjustment, solution=solution, datum=tied)
 
 
-GROSS, CLEARLY = 2e-3, 10.0
-"""Misclosure [m], and ratio to the median, in the axes of most points above which a point starts outside the datum."""
-LEVEL = 0.02
+MIN_GROSS_MISCLOSURE = 2e-3
+"""Misclosure [m] in the axes of most points above which a point starts outside the datum."""
+MIN_GROSS_MISCLOSURE_RATIO = 10.0
+"""Ratio of a misclosure to the median above which a point starts outside the datum."""
+EXCLUSION_LEVEL = 0.02
 """Significance level: probability that any point of an error-free set is excluded."""
-LEAST = 3
+MIN_AXIS_POINTS = 3
 """Smallest number of points that define axes."""
 
 
-def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
+def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
     """Recording with its datum at the points that agree about the axes, and the test of each point.
 
     Each point is tested against the others: its misclosure in their axes is compared with the uncertainty of the
@@ -226,21 +243,21 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
     """
     recording = adjustment.recording
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
-    here = adjustment.state.points[[recording.targets.index(name) for name in names]]
-    off = misses(here, declared, robust_align(here, declared))
-    use = off <= max(CLEARLY * float(np.median(off)), GROSS)
+    here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
+    off = alignment_distances(here, declared, align_robustly(here, declared))
+    use = off <= max(MIN_GROSS_MISCLOSURE_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
         tests = _axes_tests(adjustment, names, declared, use)
-        ratio = np.array([test.w / test.critical for test in tests])
+        ratio = np.array([test.normalised_error / test.critical_value for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
         elif (use & (ratio > 1.0)).any():
             k = int(np.argmax(np.where(use, ratio, 0.0)))
         else:
             break
-        if use[k] and use.sum() <= LEAST:
-            tests[k] = replace(tests[k], excluded=True)
+        if use[k] and use.sum() <= MIN_AXIS_POINTS:
+            tests[k] = replace(tests[k], is_excluded=True)
             declared[k] -= tests[k].error
             break
         use = use ^ (np.arange(len(names)) == k)
@@ -250,38 +267,44 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
 
 
-def _axes_tests(adjustment: Adjustment, names: Sequence[str], declared: Floats, use: Bools) -> list[ReferenceTest]:
+def _axes_tests(
+    adjustment: Adjustment, names: Sequence[str], declared: Floats, used_mask: Bools
+) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
-    chosen = [name for name, used in zip(names, use, strict=True) if used]
+    chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     adjusted = adjustment.in_inner_datum(chosen)
     at = [adjusted.recording.targets.index(name) for name in names]
-    state, _ = moved_to_datum(adjusted.problem, adjusted.state, chosen)
-    turn = state.rotation[0] @ adjusted.state.rotation[0].T
+    state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
+    turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
     covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared - state.points[at], state.points[at]
-    centre = places[use].mean(axis=0)
-    free = about(adjusted.problem.free, centre)
-    motion = (rigid_motion(places, centre) @ free).reshape(-1, 3, free.shape[1])
-    carried = motion @ np.linalg.inv(np.linalg.qr(motion[use].reshape(-1, motion.shape[2]))[1])
+    gap, places = declared - state.target_points[at], state.target_points[at]
+    centre = places[used_mask].mean(axis=0)
+    free = motions_about_centre(adjusted.problem.free_motions, centre)
+    motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])
+    carried = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
     held = carried @ np.swapaxes(carried, 1, 2)
-    square = float(np.sum(gap[use] ** 2)) - float(np.trace(covariance[use].sum(axis=0)))
-    rest = square, 3 * int(use.sum()) - motion.shape[2], LEVEL / len(names)
-    return [_test(name, gap[k], covariance[k], held[k], used=bool(use[k]), rest=rest) for k, name in enumerate(names)]
+    square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
+    rest = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
+    return [
+        _axis_point_test(name, gap[k], covariance[k], held[k], used=bool(used_mask[k]), rest=rest)
+        for k, name in enumerate(names)
+    ]
 
 
-def _test(
-    name: str, gap: Floats, covariance: Floats, held: Floats, *, used: bool, rest: tuple[float, int, float]
+def _axis_point_test(
+    name: str, misclosure: Floats, covariance: Floats, axes_share: Floats, *, used: bool, rest: tuple[float, int, float]
 ) -> ReferenceTest:
-    """Test of a point with misclosure `gap` (3,) and `covariance` (3, 3); `held` is its share in the axes.
+    """Test of a point with misclosure `misclosure` (3,) and `covariance` (3, 3); `axes_share` is its share in the axes.
 
-    With R = 1 - `held`, the residual of a point in use is R times its error; that of another point is its full error.
+    With R = 1 - `axes_share`, the residual of a point in use is R times its error; that of another point is its full
+    error.
     """
-    share, turned = np.linalg.eigh(np.eye(3) - held if used else np.eye(3) + held)
-    is_checked = share > UNCHECKED
+    share, turned = np.linalg.eigh(np.eye(3) - axes_share if used else np.eye(3) + axes_share)
+    is_checked = share > MIN_NUMERICAL_REDUNDANCY
     turned, share = turned[:, is_checked], share[is_checked]
     shown = share if used else np.ones(len(share))
     square, dof, level = rest
-    error = turned.T @ gap / shown
+    error = turned.T @ misclosure / shown
     if used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
     scatter = max(square, 0.0) / max(dof, 1)
@@ -291,13 +314,13 @@ def _test(
     return ReferenceTest(
         kind="axes",
         name=name,
-        axes="xyz",
+        declared_components="xyz",
         sigma=np.sqrt(np.diag(covariance) + scatter),
-        residual=gap,
+        residual=misclosure,
         error=turned @ error,
         sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
         chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
-        excluded=not used,
-        critical=max(SIGMAS, float(np.sqrt(limit))),
+        is_excluded=not used,
+        critical_value=max(MAX_NORMALISED_ERROR, float(np.sqrt(limit))),
     )

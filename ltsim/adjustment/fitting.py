@@ -12,41 +12,42 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.adjustment.sight import Sight
+from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
+from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, rotation_about_z
 
-LEAST_DAMPING = 1e-10
+MIN_DAMPING = 1e-10
 """Smallest damping, relative to the diagonal of the normal equations, which keeps them regular for undetermined
 directions.
 """
-ITERATIONS = 60
+MAX_FIT_STEPS = 60
 """Largest number of steps of a damped fit; slower starts are abandoned."""
-SAME = 1e-3
+MAX_SOLUTION_DISTANCE = 1e-3
 """Distance [m, rad] below which two solutions count as equal."""
-CLEARLY = 4.0
+MIN_SUM_OF_SQUARES_RATIO = 4.0
 """Smallest ratio of the second-best to the best sum of squares at which a solution is unique."""
-WORST = 300.0
+MAX_RMS_MISFIT = 300.0
 """Largest rms misfit of approximate coordinates, in standard deviations; worse ones are not used."""
-BEST = 150
+N_ITERATED_STARTS = 150
 """Number of starts that are iterated: those with the best fit."""
-MOST_STARTS = 400
+MAX_STARTS = 400
 """Largest number of starts (cost)."""
-ROUND = np.arange(8) * np.pi / 4
-GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
+EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
+"""Azimuths [rad] of eight directions, evenly spaced."""
+START_COORDINATES = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for unmeasured coordinates of a point: range [m], azimuth, elevation [rad]."""
-LEAST_RANGES = 10
+MIN_RANGE_TARGETS = 10
 """Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
 
-Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
+ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function for residuals (b, m) at positions (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by the free
 unknowns.
 """
 
 
 def fit_pose(
-    sight: Sight, points: Floats, *, level: bool = False, position: Floats | None = None
+    sight: FitReadings, points: Floats, *, level: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) and rotation (3, 3) of a station that measured known points (k, 3); None if it is not unique.
 
@@ -59,80 +60,90 @@ def fit_pose(
     position : (3,) float, optional, [m]
         Position of the station, if known.
     """
-    rows, sight = sight.few()
-    points = points[rows] + sight.lift
+    rows, sight = sight.thin_rows()
+    points = points[rows] + sight.reflector_offsets
     azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
     tilted = not level and (azimuth or elevation)
-    slope = bool(np.isfinite(sight.readings[~sight.horizontal, 0]).any())
+    slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
     high = position is None and (slope or elevation or not level)
     free = np.array([position is None] * 2 + [high] + [tilted] * 2 + [azimuth])
-    if sight.count < free.sum():
+    if sight.n_readings < free.sum():
         return None
-    places = _places(points) if position is None else position[None]
-    turns = _turns(not tilted) if azimuth or tilted else np.eye(3)[None]
+    places = _candidate_positions(points) if position is None else position[None]
+    turns = _candidate_rotations(not tilted) if azimuth or tilted else np.eye(3)[None]
     places = places if high or position is not None else places[:-2]
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
         arm = points[None] - x[:, None]
-        gap, by_local = sight.residual(arm @ rotation)
+        gap, by_local = sight.residuals(arm @ rotation)
         turned = by_local @ np.swapaxes(rotation, 1, 2)
         by_turn = (turned.reshape(len(x), -1, 3, 3) @ cross_matrix(arm)).reshape(len(x), -1, 3)
         return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, free]
 
     starts = np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1))
-    return _clearest(sight.count, points, _descend(evaluate, free, *starts))
+    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, free, *starts))
 
 
-def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None:
+def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
     """Point (3,) measured from known stations at `position` (k, 3), `rotation` (k, 3, 3); None if it is not unique."""
-    rows, sight = sight.few()
-    rotation, lifted = rotation[rows], position[rows] - sight.lift
-    if sight.count < 3:
+    rows, sight = sight.thin_rows()
+    rotation, lifted = rotation[rows], position[rows] - sight.reflector_offsets
+    if sight.n_readings < 3:
         return None
 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
         local = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
-        gap, by_local = sight.residual(local)
+        gap, by_local = sight.residuals(local)
         by = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
         return gap, by.reshape(len(x), -1, 3)
 
-    starts = _along(sight.readings, lifted, rotation)
+    starts = _start_points(sight.readings, lifted, rotation)
     free = np.arange(6) < 3
-    pose = _clearest(sight.count, lifted, _descend(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1))))
+    pose = _unique_solution(
+        sight.n_readings, lifted, _iterate_best_starts(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1)))
+    )
     return None if pose is None else pose[0]
 
 
-def _clearest(count: int, around: Floats, solutions: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats] | None:
-    """Best solution, if it fits well and no other fits nearly as well, for `count` readings; else None."""
+def _unique_solution(
+    n_readings: int, centre: Floats, solutions: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats] | None:
+    """Best solution, if it fits well and no other fits nearly as well, for `n_readings` readings; else None."""
     cost, x, rotation = solutions
-    if not cost[0] < WORST**2 * count:
+    if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
         return None
-    distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(around - x[0]).max())
-    other = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > SAME]
-    clear = not len(other) or float(other[0]) > CLEARLY * float(cost[0]) + count
+    distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(centre - x[0]).max())
+    other = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
+    clear = not len(other) or float(other[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
     return (x[0], rotation[0]) if clear else None
 
 
-def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:
+def _iterate_best_starts(
+    evaluate: ResidualFunction, free_unknowns: Bools, start_positions: Floats, rotation: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Costs in ascending order and solutions of Levenberg-Marquardt iterations from the best starts."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        best = np.argsort(_cost(evaluate(x, rotation)[0]))[:BEST]
-        here: tuple[Floats, ...] = (x[best], rotation[best], *evaluate(x[best], rotation[best]))
-        cost, damping = _cost(here[2]), np.full(len(best), 1e-3)
+        best = np.argsort(_sum_of_squares(evaluate(start_positions, rotation)[0]))[:N_ITERATED_STARTS]
+        here: tuple[Floats, ...] = (
+            start_positions[best],
+            rotation[best],
+            *evaluate(start_positions[best], rotation[best]),
+        )
+        cost, damping = _sum_of_squares(here[2]), np.full(len(best), 1e-3)
         step = np.zeros((len(best), 6))
-        for _ in range(ITERATIONS):
-            x, rotation, gap, by = here
+        for _ in range(MAX_FIT_STEPS):
+            start_positions, rotation, gap, by = here
             normal = np.nan_to_num(np.swapaxes(by, 1, 2) @ by, posinf=0.0)
-            weight = np.maximum(damping, LEAST_DAMPING)[:, None] * np.einsum("bii->bi", normal) + 1e-9
+            weight = np.maximum(damping, MIN_DAMPING)[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
-            step[:, free] = np.linalg.solve(lifted, right[..., None])[..., 0]
-            there = x + step[:, :3], from_rotation_vector(step[:, 3:]) @ rotation
+            step[:, free_unknowns] = np.linalg.solve(lifted, right[..., None])[..., 0]
+            there = start_positions + step[:, :3], from_rotation_vector(step[:, 3:]) @ rotation
             ahead = *there, *evaluate(*there)
-            new_cost = _cost(ahead[2])
+            new_cost = _sum_of_squares(ahead[2])
             better = new_cost < cost
             slow = ~better | (new_cost > cost * (1 - 1e-9))
-            here = tuple(_choose(better, new, old) for new, old in zip(ahead, here, strict=True))
+            here = tuple(_replace_where_better(better, new, old) for new, old in zip(ahead, here, strict=True))
             cost = np.where(better, new_cost, cost)
             damping = np.where(better, damping / 5, np.minimum(damping * 5, 1e9))
             if np.all(slow & (~better | (damping < 1e-6)) & ((damping > 1e3) | (damping < 1e-6))):
@@ -141,39 +152,42 @@ def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tu
     return cost[order], here[0][order], here[1][order]
 
 
-def _cost(gap: Floats) -> Floats:
-    return np.nan_to_num(np.sum(gap**2, axis=1), nan=np.inf)
+def _sum_of_squares(residuals: Floats) -> Floats:
+    return np.nan_to_num(np.sum(residuals**2, axis=1), nan=np.inf)
 
 
-def _choose(better: Bools, new: Floats, old: Floats) -> Floats:
+def _replace_where_better(better: Bools, new: Floats, old: Floats) -> Floats:
     return np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-def _places(points: Floats) -> Floats:
+def _candidate_positions(points: Floats) -> Floats:
     """Candidate positions of a station: among the points and around them."""
     centre = points.mean(axis=0)
     reach = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    across = reach * np.stack([np.cos(ROUND), np.sin(ROUND), np.zeros(len(ROUND))], axis=1)
+    across = reach * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
     above = np.outer([-reach, reach], [0.0, 0.0, 1.0])
     return np.concatenate([[centre], centre + 0.4 * across, centre + 1.5 * across, centre + above])
 
 
-def _turns(level: bool) -> Floats:
-    yaws = np.stack([about_z(a) for a in ROUND])
-    if level:
+def _candidate_rotations(is_level: bool) -> Floats:
+    yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
+    if is_level:
         return yaws
     sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
     return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * sides)])
 
 
-def _along(readings: Floats, position: Floats, rotation: Floats) -> Floats:
+def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
     """Start points: along measured beams, and on the spheres of ranges without a beam."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
-            ways = ([value] if np.isfinite(value) else guess for value, guess in zip(reading, GUESSES, strict=True))
+            ways = (
+                [value] if np.isfinite(value) else guess
+                for value, guess in zip(reading, START_COORDINATES, strict=True)
+            )
             starts.append(from_polar(np.array(list(product(*ways)))) @ turn.T + place)
-    return np.concatenate(starts)[:MOST_STARTS]
+    return np.concatenate(starts)[:MAX_STARTS]
 
 
 def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
@@ -187,7 +201,7 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
     both sides up to an affinity. That the first station sees the targets at its ranges is linear in the ten numbers
     that remain.
     """
-    if ranges.shape[0] < 4 or ranges.shape[1] < LEAST_RANGES:
+    if ranges.shape[0] < 4 or ranges.shape[1] < MIN_RANGE_TARGETS:
         return None
     squares = ranges**2
     product = -0.5 * (squares - squares[:1] - squares[:, :1] + squares[0, 0])
@@ -207,9 +221,9 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
     return stations @ np.linalg.inv(root), targets @ root.T + shift
 
 
-PARALLEL = 1e-5
+MIN_BEAM_INTERSECTION = 1e-5
 """Mean squared sine of the angles between beams below which they have no intersection."""
-LOOSE = 1e-6
+MIN_PLAN_SINGULAR_VALUE = 1e-6
 """Fraction of the largest singular value below which a plan can change its shape."""
 
 
@@ -217,22 +231,22 @@ def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
     """Point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None for parallel beams."""
     across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
     normal = across.sum(axis=0)
-    if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
+    if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_INTERSECTION * len(beam):
         return None
     return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
 
 
 @dataclass(frozen=True)
-class Lines:
-    """Horizontal lengths [m] (k,) between the places `start` and `end` (k,), from any station."""
+class PlanLengths:
+    """Horizontal lengths [m] (k,) between the places `start_indices` and `end_indices` (k,), from any station."""
 
-    start: Ints
-    end: Ints
-    length: Floats
+    start_indices: Ints
+    end_indices: Ints
+    lengths: Floats
 
 
-def plan_of(
-    setup: Ints, start: Ints, end: Ints, turn: Floats, control: Floats, lines: Lines
+def fit_plan(
+    setup: Ints, start: Ints, end: Ints, azimuths: Floats, control: Floats, lines: PlanLengths
 ) -> tuple[Floats, Floats, bool] | None:
     """Places (P, 2) in plan and yaws (S,) [rad] from directions and lengths, and a flag that they are in the frame.
 
@@ -243,23 +257,23 @@ def plan_of(
     ----------
     setup, start, end : (n,) int
         Upright set-up of each direction, its place, and the place of its target.
-    turn : (n,) float, [rad]
+    azimuths : (n,) float, [rad]
         Reading of the circle.
     control : (P, 2) float, [m]
         Known places, NaN for others.
     lines : Lines
         Lengths are used along lines whose direction was measured from one end.
     """
-    yaw = _yaws(setup, start, end, turn)
+    yaw = _setup_yaws(setup, start, end, azimuths)
     rows = np.isfinite(yaw[setup])
-    bearing = (yaw[setup] + turn)[rows]
+    bearing = (yaw[setup] + azimuths)[rows]
     used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, length = _lengths_along(lines, start[rows], end[rows])
+    along, length = _measured_lengths_of_directions(lines, start[rows], end[rows])
     has_control = np.isfinite(control[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
-    shape = _shape(first, second, bearing, along, length, len(used))
+    shape = _plan_shape(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
     places, is_in_frame = np.full(control.shape, np.nan), bool(has_control.sum() > 1)
@@ -272,11 +286,11 @@ def plan_of(
     return places, yaw + float(np.angle(turned)), is_in_frame
 
 
-def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
+def _measured_lengths_of_directions(lines: PlanLengths, start: Ints, end: Ints) -> tuple[Ints, Floats]:
     """Indices (k,) of directions whose line also has a measured length, and these lengths (k,)."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
-        lines.start.tolist(), lines.end.tolist(), lines.length.tolist(), strict=True
+        lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
     ):
         lengths.setdefault((start_place, end_place), length)
         lengths.setdefault((end_place, start_place), length)
@@ -285,66 +299,73 @@ def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
     return along, np.array([lengths[pairs[i]] for i in along])
 
 
-def loose_lines(setup: Ints, start: Ints, end: Ints, turn: Floats, lines: Lines) -> list[tuple[int, int]]:
+def lines_without_length(
+    setup: Ints, start: Ints, end: Ints, azimuths: Floats, lines: PlanLengths
+) -> list[tuple[int, int]]:
     """Lines between places, by their ends, without a determined length although all set-ups are oriented.
 
-    It is empty for a determined plan, or if more than one length is undetermined. Parameters as of `plan_of`.
+    It is empty for a determined plan, or if more than one length is undetermined. Parameters as of `fit_plan`.
     """
-    yaw = _yaws(setup, start, end, turn)
+    yaw = _setup_yaws(setup, start, end, azimuths)
     rows = np.isfinite(yaw[setup])
     used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, _ = _lengths_along(lines, start[rows], end[rows])
-    _, size, right = np.linalg.svd(_design(first, second, (yaw[setup] + turn)[rows], along, len(used)))
-    if not len(along) or not rows.all() or size[-1] >= LOOSE * size[0] or size[-2] < LOOSE * size[0]:
+    along, _ = _measured_lengths_of_directions(lines, start[rows], end[rows])
+    _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[rows], along, len(used)))
+    if (
+        not len(along)
+        or not rows.all()
+        or size[-1] >= MIN_PLAN_SINGULAR_VALUE * size[0]
+        or size[-2] < MIN_PLAN_SINGULAR_VALUE * size[0]
+    ):
         return []
     motion = np.concatenate([np.zeros((1, 2)), right[-1].reshape(-1, 2)])
     moves = np.linalg.norm(motion[second] - motion[first], axis=1)
-    loose = np.flatnonzero(moves > LOOSE * moves.max())
+    loose = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
     ends = {
         (min(pair), max(pair)) for pair in zip(used[first[loose]].tolist(), used[second[loose]].tolist(), strict=True)
     }
     return sorted(ends)
 
 
-def _design(first: Ints, second: Ints, bearing: Floats, along: Ints, count: int) -> Floats:
+def _plan_design(first: Ints, second: Ints, bearing: Floats, has_length: Ints, n_places: int) -> Floats:
     """Equations for the places except the first (x and y alternately): perpendicular to each bearing, and along some.
 
     Padded with zero rows.
     """
-    design = np.zeros((len(bearing) + len(along), count, 2))
+    design = np.zeros((len(bearing) + len(has_length), n_places, 2))
     across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-    ahead = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[along]
-    every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(along))
+    ahead = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
+    every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(has_length))
     np.add.at(design, (every, second), across)
     np.add.at(design, (every, first), -across)
-    np.add.at(design, (behind, second[along]), ahead)
-    np.add.at(design, (behind, first[along]), -ahead)
-    free = 2 * (count - 1)
+    np.add.at(design, (behind, second[has_length]), ahead)
+    np.add.at(design, (behind, first[has_length]), -ahead)
+    free = 2 * (n_places - 1)
     return np.concatenate([design[:, 1:].reshape(-1, free), np.zeros((free, free))])  # a row for each column at least
 
 
-def _shape(
-    first: Ints, second: Ints, bearing: Floats, along: Ints, length: Floats, count: int
+def _plan_shape(
+    first: Ints, second: Ints, bearing: Floats, has_length: Ints, length: Floats, n_places: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Places (count,) in plan as complex numbers, the first at 0; None if the shape is undetermined.
 
     Every direction gives a linear equation perpendicular to its bearing, and another one along it if its line has a
     length; without lengths the scale is arbitrary.
     """
-    design = _design(first, second, bearing, along, count)
+    design = _plan_design(first, second, bearing, has_length, n_places)
     right = np.zeros(len(design))
-    right[len(bearing) : len(bearing) + len(along)] = length
+    right[len(bearing) : len(bearing) + len(has_length)] = length
     u, size, rows = np.linalg.svd(design, full_matrices=False)
-    if size[-1 if len(along) else -2] < LOOSE * size[0]:
+    if size[-1 if len(has_length) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
         return None
-    plan = rows.T @ ((u.T @ right) / size) if len(along) else rows[-1]
+    plan = rows.T @ ((u.T @ right) / size) if len(has_length) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
     forward = np.real((shape[second] - shape[first]) * np.exp(-1j * bearing))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
 
 
-def _yaws(setup: Ints, start: Ints, end: Ints, turn: Floats) -> Floats:
+def _setup_yaws(setup: Ints, start: Ints, end: Ints, azimuths: Floats) -> Floats:
     """Yaws (S,) [rad] of set-ups that are connected to the first by lines seen from both ends, or twice.
 
     It is NaN for others.
@@ -352,7 +373,7 @@ def _yaws(setup: Ints, start: Ints, end: Ints, turn: Floats) -> Floats:
     yaw = np.full(setup.max() + 1, np.nan)
     yaw[setup[0]] = 0.0
     bearings: dict[tuple[int, int], float] = {}
-    lines = list(zip(setup.tolist(), start.tolist(), end.tolist(), turn.tolist(), strict=True))
+    lines = list(zip(setup.tolist(), start.tolist(), end.tolist(), azimuths.tolist(), strict=True))
     before = -1
     while before < (before := len(bearings)):
         for s, start_place, end_place, turned in lines:

@@ -10,96 +10,103 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjustment.rows import Marks
+from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.alignment import align, robust_align
+from ltsim.geometry.alignment import align_rigidly, align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z, smallest_turn
+from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
-ROUGH_PLACE = 0.5
+MAX_FLOOR_PLAN_ERROR = 0.5
 """Largest distance [m] of a station from its position on a floor plan."""
-AT_ONCE = 4096
+MEDIAN_BATCH_SIZE = 4096
 """Number of targets whose medians are computed together."""
-NOWHERE = (np.nan, np.nan, np.nan)
+UNKNOWN_POINT = (np.nan, np.nan, np.nan)
+"""Coordinates of a point without declared coordinates."""
 
 
 @dataclass(frozen=True)
-class Frame:
+class DeclaredFrame:
     """Prior knowledge of the network's frame; NaN for undeclared values."""
 
-    points: Floats
+    declared_points: Floats
     """Targets that define the frame: known ones, and approximate ones selected for the datum, (T, 3) [m]."""
-    stations: Floats
+    declared_stations: Floats
     """Instrument positions over known or approximate marks that are no targets, (S, 3) [m]."""
-    level: Bools
+    is_levelled: Bools
     """Flags of the levelled stations, (S,)."""
-    marks: Marks
-    plan: Floats
+    marks: StationMarks
+    plan_positions: Floats
     """Approximate positions of the stations on a floor plan, (S, 3) [m]."""
-    yaw: Floats
+    plan_yaws: Floats
     """Direction of azimuth zero of each station on that plan, (S,) [rad]."""
-    oriented: Bools
+    has_declared_yaw: Bools
     """Flags of the stations whose yaw is known and not only approximate, (S,)."""
-    near: Floats
+    approximate_points: Floats
     """Known or approximate coordinates of the targets, (T, 3) [m]."""
-    in_plan: Floats
+    plan_points: Floats
     """Targets known along x and y at least, with height 0, (T, 3) [m]."""
 
     @classmethod
-    def of(cls, recording: Recording) -> Frame:
+    def from_recording(cls, recording: Recording) -> DeclaredFrame:
         """The frame of a recording."""
-        marks = Marks.of(recording)
+        marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
-            [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)],
-            _places_by_name(recording),
+            [name if marks.target_indices[i] < 0 else "" for i, name in enumerate(marks.mark_names)],
+            _coordinates_by_name(recording),
         )
         return cls(
-            _metres([by_name.get(name) or _declared(recording, name) for name in recording.targets]),
-            _metres([by_name.get(name) or _declared(recording, name) for name in alone]) + marks.offset,
+            _in_metres([by_name.get(name) or _declared_coordinates(recording, name) for name in recording.targets]),
+            _in_metres([by_name.get(name) or _declared_coordinates(recording, name) for name in alone])
+            + marks.instrument_offsets,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
-            _metres([s.position_mm or NOWHERE for s in setups]),
+            _in_metres([s.position_mm or UNKNOWN_POINT for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
-            _metres([_declared(recording, name, chosen=False) for name in recording.targets]),
-            _metres([_in_plan(recording.target_setup(name)) for name in recording.targets]),
+            _in_metres(
+                [_declared_coordinates(recording, name, datum_targets_only=False) for name in recording.targets]
+            ),
+            _in_metres([_declared_plan_coordinates(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
     def has_places(self) -> bool:
         """True if approximate coordinates of a station or target are given."""
-        return any(bool(np.isfinite(places).any()) for places in (self.points, self.stations, self.in_plan))
+        return any(
+            bool(np.isfinite(places).any())
+            for places in (self.declared_points, self.declared_stations, self.plan_points)
+        )
 
-    def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
+    def common_places(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Places (k, 3) of a network that the frame also declares, and the declared ones."""
-        here, there = np.concatenate([position, points]), np.concatenate([self.stations, self.points])
+        here, there = np.concatenate([position, points]), np.concatenate([self.declared_stations, self.declared_points])
         both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         return here[both], there[both]
 
-    def motion(
+    def motion_into_frame(
         self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
     ) -> tuple[Floats, Floats] | None:
         """Rotation and translation into the frame; None if the frame does not determine them.
 
-        `turn` (3, 3) is the rotation that made levelled stations upright, and `heading` is the known yaw.
+        `turn` (3, 3) is the rotation that made levelled stations upright, and `heading_rotation` is the known yaw.
         """
-        here, there = self.common(position, points)
-        if len(here) >= 3 and not on_a_line(there):
-            return robust_align(here, there)
+        here, there = self.common_places(position, points)
+        if len(here) >= 3 and not are_collinear(there):
+            return align_robustly(here, there)
         height = float(np.mean(there[:, 2] - (here @ turn.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
-            both = np.isfinite(points).all(axis=1) & np.isfinite(self.in_plan).all(axis=1)
-            here, there = points[both], self.in_plan[both]
+            both = np.isfinite(points).all(axis=1) & np.isfinite(self.plan_points).all(axis=1)
+            here, there = points[both], self.plan_points[both]
         if heading is not None and len(here) == 1:
             shift = there[0] - heading @ turn @ here[0]
             return heading @ turn, np.array([*shift[:2], height])
-        if not self.level.any() or len(here) < 2:
+        if not self.is_levelled.any() or len(here) < 2:
             return None
         try:
             rotation, translation = upright_alignment(here @ turn.T, there)
@@ -111,78 +118,104 @@ class Frame:
         """Rotation about the vertical and translation of a free network to the floor plan; None without one.
 
         They follow from the approximate positions of two or more stations, or from position and yaw of one. Positions
-        that differ by more than `ROUGH_PLACE` belong to another frame and are ignored.
+        that differ by more than `MAX_FLOOR_PLAN_ERROR` belong to another frame and are ignored.
         """
-        planned = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
+        planned = np.flatnonzero(np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1))
         if len(planned) > 1:
             try:
-                motion = upright_alignment(position[planned], self.plan[planned])
+                motion = upright_alignment(position[planned], self.plan_positions[planned])
             except NetworkError:
                 return None
-            return motion if misses(position[planned], self.plan[planned], motion).max() < ROUGH_PLACE else None
-        if not len(planned) or not np.isfinite(self.yaw[planned[0]]):
+            return (
+                motion
+                if alignment_distances(position[planned], self.plan_positions[planned], motion).max()
+                < MAX_FLOOR_PLAN_ERROR
+                else None
+            )
+        if not len(planned) or not np.isfinite(self.plan_yaws[planned[0]]):
             return None
         ahead = rotation[planned[0], :, 0]
-        turn = about_z(float(self.yaw[planned[0]] - np.arctan2(ahead[1], ahead[0])))
-        return turn, self.plan[planned[0]] - turn @ position[planned[0]]
+        turn = rotation_about_z(float(self.plan_yaws[planned[0]] - np.arctan2(ahead[1], ahead[0])))
+        return turn, self.plan_positions[planned[0]] - turn @ position[planned[0]]
 
-    def chirality(self, here: Floats, there: Floats) -> Floats | None:
-        """Factors (3,) that mirror a network of ranges at `here` (k, 3) or leave it unchanged; None if unknown.
+    def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
+        """Factors (3,) that mirror a network of ranges at `network_points` (k, 3) or leave it unchanged.
 
-        Ranges do not determine the handedness; approximate positions `there` (NaN for others) determine it if they are
-        not coplanar.
+        None if unknown.
+
+        Ranges do not determine the handedness; approximate positions `declared_points` (NaN for others) determine it if
+        they are not coplanar.
         """
-        has_place = np.isfinite(there).all(axis=1)
-        here, there = here[has_place], there[has_place]
-        if len(here) < 4 or _thickness(there) < ROUGH_PLACE:
+        has_place = np.isfinite(declared_points).all(axis=1)
+        network_points, declared_points = network_points[has_place], declared_points[has_place]
+        if len(network_points) < 4 or _rms_distance_from_plane(declared_points) < MAX_FLOOR_PLAN_ERROR:
             return None
         both = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
-        rests = [np.linalg.norm(misses(here * factors, there, align(here * factors, there))) for factors in both]
+        rests = [
+            np.linalg.norm(
+                alignment_distances(
+                    network_points * factors, declared_points, align_rigidly(network_points * factors, declared_points)
+                )
+            )
+            for factors in both
+        ]
         return both[int(np.argmin(rests))]
 
     def resolves_mirror(self, position: Floats, points: Floats) -> bool:
         """True if approximate coordinates distinguish a network of ranges from its mirror image."""
-        return self.chirality(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
+        return (
+            self.mirror_factors(
+                np.concatenate([position, points]), np.concatenate([self.plan_positions, self.approximate_points])
+            )
+            is not None
+        )
 
-    def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
+    def place_range_network(
+        self, stations: Ints, position: Floats, targets: Ints, points: Floats
+    ) -> tuple[Floats, bool]:
         """Targets (t, 3) of a network of ranges with the handedness and positions of the approximate coordinates.
 
         The flag is True if they are at these positions, which three that are not collinear determine.
         """
-        here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
-        factors = self.chirality(here, there)
+        here, there = (
+            np.concatenate([position, points]),
+            np.concatenate([self.plan_positions[stations], self.approximate_points[targets]]),
+        )
+        factors = self.mirror_factors(here, there)
         if factors is not None:
             here, points = here * factors, points * factors
         has_place = np.isfinite(there).all(axis=1)
-        if has_place.sum() < 3 or on_a_line(there[has_place]):
+        if has_place.sum() < 3 or are_collinear(there[has_place]):
             return points, False
-        rotation, shift = align(here[has_place], there[has_place])
+        rotation, shift = align_rigidly(here[has_place], there[has_place])
         return points @ rotation.T + shift, True
 
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
         """True if a network agrees with the floor plan as well as the approximate coordinates permit."""
         motion = self.plan_motion(position, rotation)
-        return motion is not None and bool(misses(position, position, motion).max() < ROUGH_PLACE)
+        return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
-    def heading(self, rotation: Floats, joined: Bools) -> Floats | None:
+    def heading_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
-        chosen = self.oriented & joined
+        chosen = self.has_declared_yaw & joined_stations
         if not chosen.any():
             return None
         ahead = rotation[chosen, :, 0]
-        return about_z(float(np.angle(np.sum(np.exp(1j * (self.yaw[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0])))))))
+        return rotation_about_z(
+            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
+        )
 
-    def upright(self, rotation: Floats, joined: Bools) -> Floats:
+    def levelling_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
-        chosen = self.level & joined
+        chosen = self.is_levelled & joined_stations
         if not chosen.any():
             return np.eye(3)
         axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
-        goal = self.marks.vertical[chosen].mean(axis=0)
-        return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
+        goal = self.marks.plumb_directions[chosen].mean(axis=0)
+        return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
-def _places_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
+def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
     """Coordinates [mm] of known marks, and of marks that known differences determine from them."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
@@ -204,41 +237,44 @@ def _places_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
     return places
 
 
-def _declared(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:
-    """Known coordinates [mm] of a target, or its approximate ones; with `chosen` only those of datum targets."""
+def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only: bool = True) -> tuple[float, ...]:
+    """Known coordinates [mm] of a target, or its approximate ones.
+
+    With `datum_targets_only` only those of datum targets.
+    """
     target = recording.target_setup(name) if name else None
     if target is None:
-        return NOWHERE
+        return UNKNOWN_POINT
     if target.known_mm is not None and target.known_axes == "xyz":
         return target.known_mm
-    return (target.approximate_mm if target.datum or not chosen else None) or NOWHERE
+    return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNKNOWN_POINT
 
 
-def _in_plan(target: Target) -> tuple[float, ...]:
+def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
     """Known coordinates [mm] of a target in plan, at height 0."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
-        return NOWHERE
+        return UNKNOWN_POINT
     return *target.known_mm[:2], 0.0
 
 
-def _metres(places: list[tuple[float, ...]]) -> Floats:
+def _in_metres(places: list[tuple[float, ...]]) -> Floats:
     return np.array(places, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 
-def _thickness(points: Floats) -> float:
+def _rms_distance_from_plane(points: Floats) -> float:
     """Root-mean-square distance [m] of points (k, 3) from their best-fit plane."""
     return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points)))
 
 
-def on_a_line(points: Floats) -> bool:
+def are_collinear(points: Floats) -> bool:
     """True if points (k, 3) are collinear, or nearly so that the rotation about their line is undetermined."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
-def misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
+def alignment_distances(points: Floats, goals: Floats, motion: tuple[Floats, Floats]) -> Floats:
     """Distances (k,) [m] of points (k, 3) from their goals after rotation and translation."""
-    return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
+    return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goals, axis=1))
 
 
 def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
@@ -250,31 +286,32 @@ def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
         raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    rotation = about_z(float(yaw))
+    rotation = rotation_about_z(float(yaw))
     return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
 
 
 @dataclass(frozen=True)
-class Pairs:
+class StationTargetPairs:
     """Pairs (m,) of a station and a completely measured target, in the order of the stations."""
 
-    station: Ints
-    target: Ints
-    """Indices of station and target of each pair, (m,) each."""
-    points: Floats
+    station_indices: Ints
+    """Index of the station of each pair, (m,)."""
+    target_indices: Ints
+    """Index of the target of each pair, (m,)."""
+    local_points: Floats
     """Coordinates of the target in the station's frame, (m, 3) [m]."""
-    begin: Ints
+    first_pair_of_station: Ints
     """Index of the first pair of each station, (S + 1,)."""
-    order: Ints
+    target_order: Ints
     """Indices of the pairs in the order of their targets, (m,)."""
-    first: Ints
+    first_pair_of_target: Ints
     """Index of the first pair of each target in that order, (T + 1,)."""
 
     @classmethod
-    def of(cls, recording: Recording, points: Floats | None = None) -> Pairs:
+    def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
         """Pairs of a recording; faces and repeats are combined by the median, which is insensitive to a single blunder.
 
-        `points` (n, 3) are the measured points; by default those of an ideal tracker.
+        `declared_points` (n, 3) are the measured points; by default those of an ideal tracker.
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
@@ -292,29 +329,32 @@ class Pairs:
         return cls(station, target, middle, begin, order, np.searchsorted(target[order], np.arange(targets + 1)))
 
     def __len__(self) -> int:
-        return len(self.station)
+        return len(self.station_indices)
 
     def of_station(self, station: int) -> slice:
         """Slice of the pairs of a station."""
-        return slice(int(self.begin[station]), int(self.begin[station + 1]))
+        return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def of_rows(self, recording: Recording, values: Floats) -> Floats:
         """Values (m, 3) of each pair from those of the rows (n, 3), by its last row."""
         by_pair = np.zeros((len(self), 3))
-        keys = self.station * len(recording.targets) + self.target
+        keys = self.station_indices * len(recording.targets) + self.target_indices
         rows = recording.station * len(recording.targets) + recording.target
         paired = np.flatnonzero(np.isin(rows, keys))
         by_pair[np.searchsorted(keys, rows[paired])] = values[paired]
         return by_pair
 
-    def medians(self, values: Floats, which: Ints) -> Floats:
+    def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
         """Median (k, 3) over stations of values (m, 3) of some targets without NaN; NaN if all are NaN."""
-        medians = np.full((len(which), 3), np.nan)
-        for low in range(0, len(which), AT_ONCE):
-            first, end = self.first[which[low : low + AT_ONCE]], self.first[which[low : low + AT_ONCE] + 1]
+        medians = np.full((len(targets), 3), np.nan)
+        for low in range(0, len(targets), MEDIAN_BATCH_SIZE):
+            first, end = (
+                self.first_pair_of_target[targets[low : low + MEDIAN_BATCH_SIZE]],
+                self.first_pair_of_target[targets[low : low + MEDIAN_BATCH_SIZE] + 1],
+            )
             place = first[:, None] + np.arange((end - first).max(initial=0))
-            pair = self.order[np.minimum(place, len(self) - 1)]
-            medians[low : low + AT_ONCE] = _nan_median(
+            pair = self.target_order[np.minimum(place, len(self) - 1)]
+            medians[low : low + MEDIAN_BATCH_SIZE] = _nan_median(
                 np.where((place < end[:, None])[:, :, None], values[pair], np.nan)
             )
         return medians
@@ -330,7 +370,7 @@ def _nan_median(values: Floats) -> Floats:
     return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])
 
 
-def flat_points(recording: Recording) -> Floats | None:
+def points_with_slope_distances(recording: Recording) -> Floats | None:
     """Measured points (n, 3) with horizontal distances converted to slope distances; None if there are none."""
     flat = recording.is_horizontal
     if not flat.any():

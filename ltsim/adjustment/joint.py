@@ -4,11 +4,11 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats
-from ltsim.recordings.coordinates import AXES, covariance_text
+from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
 
-COVARIANCE = "targets.covariance.csv"
+COVARIANCE_FILE = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
-MOST_TARGETS = 400
+MAX_TARGETS_IN_FILE = 400
 """Largest number of targets with a joint covariance in a file, whose size grows with their square (20 MB here)."""
 
 
@@ -17,35 +17,36 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
 
     It is NaN for targets that the readings in use do not determine.
     """
-    columns = adjustment.problem.unknowns.target.ravel()
-    unit = np.zeros((adjustment.problem.unknowns.size, len(columns)))
+    columns = adjustment.problem.unknowns.target_columns.ravel()
+    unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    covariance = adjustment.factor.covariance_columns(unit)[columns]
+    covariance = adjustment.factorised_normals.covariance_columns(unit)[columns]
     if adjustment.datum is not None:
-        covariance = adjustment.datum.transformed(covariance[None], columns[None])[0]
+        covariance = adjustment.datum.transform_covariance(covariance[None], columns[None])[0]
     undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
     covariance[undetermined] = covariance[:, undetermined] = np.nan
     return 0.5 * (covariance + covariance.T)
 
 
 def covariance_csv(
-    adjustment: Adjustment, spread: Floats | None = None, *, factor: float = 1.0, added: Floats | None = None
+    adjustment: Adjustment, spread: Floats | None = None, *, factor: float = 1.0, added_covariance: Floats | None = None
 ) -> str | None:
-    """Content of `targets.covariance.csv`; None for more than `MOST_TARGETS` targets.
+    """Content of `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_FILE` targets.
 
     `spread` (k, T, 3) [m] are additional errors that the targets share, each for one standard deviation. `factor`
-    multiplies the standard deviations due to the readings; `added` (3 T, 3 T) [m^2] is an additional covariance.
+    multiplies the standard deviations due to the readings; `added_covariance` (3 T, 3 T) [m^2] is an additional
+    covariance.
     """
     names = adjustment.recording.targets
-    if len(names) > MOST_TARGETS:
+    if len(names) > MAX_TARGETS_IN_FILE:
         return None
     covariance = factor**2 * joint_covariance(adjustment)
     if spread is not None:
         errors = spread.reshape(len(spread), -1)
         covariance = covariance + errors.T @ errors
-    if added is not None:
-        covariance = covariance + added
+    if added_covariance is not None:
+        covariance = covariance + added_covariance
     determined = np.isfinite(np.diag(covariance))
-    coordinates = [f"{name}.{axis}" for name in names for axis in AXES]
+    coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
     rows = np.flatnonzero(determined)
     return covariance_text([coordinates[i] for i in rows.tolist()], covariance[np.ix_(rows, rows)])

@@ -11,13 +11,13 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
-CORRECTED_SHARE = 0.3
+CORRECTED_SIGMA_FRACTION = 0.3
 """Prior sigma of a corrected constant, relative to the specification, if it is not declared. It is between the
 uncertainty of an ordinary calibration on the day (0.1: a beam tilt of 10 urad is determined to about 1) and the full
 specification: constants of instruments reported as corrected scatter in real halls by half of the specification and
 more.
 """
-FREED = 100.0
+WIDENED_SIGMA_FACTOR = 100.0
 """Factor on a declared prior sigma once the readings contradict it; errors of instruments are not larger."""
 
 
@@ -29,7 +29,7 @@ class ParameterPrior:
     """Mean of each parameter, (I, p) [SI]."""
     covariance: Floats
     """Covariance of the parameters of each instrument, (I, p, p) [SI]."""
-    held: Bools
+    is_fixed: Bools
     """Flags of the parameters that are fixed at their mean, (I, p)."""
 
     @classmethod
@@ -38,10 +38,10 @@ class ParameterPrior:
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
-    def widened(self, freed: Bools) -> ParameterPrior:
+    def widened(self, freed_mask: Bools) -> ParameterPrior:
         """Prior with some parameters (I, p) practically free."""
-        factor = np.where(freed, FREED, 1.0)
-        return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.held)
+        factor = np.where(freed_mask, WIDENED_SIGMA_FACTOR, 1.0)
+        return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 
     @property
     def sigma(self) -> Floats:
@@ -49,23 +49,23 @@ class ParameterPrior:
         return np.sqrt(np.einsum("ipp->ip", self.covariance))
 
     @cached_property
-    def correlated(self) -> bool:
+    def has_correlations(self) -> bool:
         """True if any two parameters are correlated."""
         return bool(np.any(self.covariance[:, ~np.eye(self.mean.shape[1], dtype=bool)]))
 
     @cached_property
-    def roots(self) -> Floats:
+    def whitening_matrices(self) -> Floats:
         """Matrices (I, p, p) that transform deviations from the mean to standard normal variables."""
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
         lower = np.linalg.cholesky(correlation)
         return np.linalg.inv(lower) / sigma[:, None, :]
 
-    def residual(self, values: Floats) -> Floats:
+    def whitened_residuals(self, values: Floats) -> Floats:
         """Whitened prior residuals (m,) of values (I, p), one per parameter with a prior."""
         gap = self.mean - values
-        if self.correlated:
-            return np.einsum("iqp,ip->iq", self.roots, gap).ravel()
+        if self.has_correlations:
+            return np.einsum("iqp,ip->iq", self.whitening_matrices, gap).ravel()
         finite = np.isfinite(self.sigma)
         return gap[finite] / self.sigma[finite]
 
@@ -74,7 +74,7 @@ def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
     chosen = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
-    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
+    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.n_parameters)
 
 
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
@@ -82,9 +82,9 @@ def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
 
     For a corrected instrument those of the remaining errors, unless declared.
     """
-    sigma, names = prior_sigmas(recording, construction), construction.names
+    sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)
     for of_instrument, instrument in zip(sigma, instruments, strict=True):
         if instrument.corrected:
-            of_instrument[[name not in instrument.prior.parameters for name in names]] *= CORRECTED_SHARE
+            of_instrument[[name not in instrument.prior.parameters for name in names]] *= CORRECTED_SIGMA_FRACTION
     return sigma

@@ -12,32 +12,32 @@ from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import (
-    Kind,
-    ReferenceRows,
+    ReferenceKind,
     ReferenceValue,
+    ReferenceValueRows,
     common_scale,
     drop_reference,
     reference_values,
 )
 from ltsim.adjustment.reliability import (
     critical_w,
+    level_of_single_test,
     neg_log_p_chi2,
+    noise_scale,
     noncentrality,
     normalised,
-    redundancy_of,
-    scale_of,
-    single_level,
+    redundancy_numbers,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.physics.model.measurement import State
-from ltsim.solve.design import as_dense
+from ltsim.physics.model.measurement import NetworkState
+from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve
 
-WORDS: dict[Kind, str] = {
+REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
     "point": "the known coordinates of",
     "difference": "the known difference",
     "length": "the known length",
@@ -47,40 +47,43 @@ WORDS: dict[Kind, str] = {
     "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
-UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
+"""Phrases for the kinds of reference values."""
+ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
-KINDS: tuple[Kind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
-SCALED: tuple[Kind, ...] = KINDS[:-1]
+TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
+"""Kinds of reference values that are tested."""
+SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of reference values that may be excluded if lengths determine the scale of the ranges: a common scale error is
 only reported.
 """
-SIGMAS = 5.0
-"""Limit of `w`: a reference value with a larger normalised error is excluded."""
-CHECKED = 1e-3
+MAX_NORMALISED_ERROR = 5.0
+"""Limit of `normalised_error`: a reference value with a larger normalised error is excluded."""
+MIN_TESTED_REDUNDANCY = 1e-3
 """Redundancy below which the other observations do not test a component of a reference value."""
-INSENSITIVE = 1e-9
+MIN_RELATIVE_SIGNATURE = 1e-9
 """Signature of a component, relative to the largest of its reference value, below which the readings do not depend on
 it.
 """
 MIN_RESIDUAL = 0.2
 """Whitened residual below which a reference value is not tested, because an error of 5 sigmas has a larger one."""
-FINEST = 0.3
+MIN_RELATIVE_SIGMA = 0.3
 """Smallest standard deviation with which an exact value is tested, relative to that of a reading at its target."""
-UPRIGHT = 0.01
+MAX_INCLINATION = 0.01
 """Largest horizontal part of a height error [rad]: instruments and targets are inclined less."""
-AT_ONCE = 64
+REFERENCE_BATCH_SIZE = 64
 """Number of reference values whose covariance columns are computed together (memory)."""
-PLAIN = 20.0
-"""Limit of `w` from which an error is accepted without comparison with several outliers as an alternative."""
-USUAL = 3
+MIN_NORMALISED_ERROR_CERTAIN = 20.0
+"""Limit of `normalised_error` from which an error is accepted without comparison with several outliers as an
+alternative."""
+MIN_VALUES_FOR_TYPICAL_ERROR = 3
 """Smallest number of reference values of a kind from which their typical error is estimated; fewer are tested one by
 one.
 """
-RIVAL = 100.0
+MIN_LIKELIHOOD_RATIO = 100.0
 """Likelihood ratio to the second-best hypothesis above which a single reference value is identified as erroneous."""
-BY_FAR = 1e-6
+MAX_CHI2_FRACTION = 1e-6
 """Fraction of chi-square below which the exclusion of reference values is sufficient evidence against them."""
-MOST_OUT = 1 / 3
+MAX_EXCLUDED_FRACTION = 1 / 3
 """Fraction of the reference values of a kind above which they are inconsistent and none is identified."""
 
 
@@ -96,14 +99,15 @@ class ReferenceTest(ReferenceValue):
     """Decrease of chi-square if the value is excluded."""
     rank: int
     """Number of components that the other observations test."""
-    excluded: bool = False
-    critical: float = SIGMAS
-    """Limit of `w`."""
+    is_excluded: bool = False
+    """True if the value contradicts the others and did not take part in the adjustment."""
+    critical_value: float = MAX_NORMALISED_ERROR
+    """Limit of `normalised_error`."""
     indistinguishable_from: tuple[str, ...] = ()
     """Other reference values whose error explains the same; none of them is excluded."""
 
     @property
-    def w(self) -> float:
+    def normalised_error(self) -> float:
         """Square root of the chi-square decrease: the normalised residual of a single component."""
         return float(np.sqrt(self.chi2_drop))
 
@@ -111,8 +115,9 @@ class ReferenceTest(ReferenceValue):
     def is_height(self) -> bool:
         """True if its error is one of the height alone."""
         *plan, height = np.abs(self.error).tolist()
-        small = [max(SIGMAS * sigma, UPRIGHT * height) for sigma in self.sigma_error[:-1]]
-        return bool(plan) and height > SIGMAS * self.sigma_error[-1] and all(map(float.__lt__, plan, small))
+        small = [max(MAX_NORMALISED_ERROR * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
+        is_significant = height > MAX_NORMALISED_ERROR * self.sigma_error[-1]
+        return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
 
     @property
     def error_text(self) -> str:
@@ -120,36 +125,34 @@ class ReferenceTest(ReferenceValue):
         size = float(np.linalg.norm(self.error))
         along = self.error / size if size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
-        unit, factor = UNITS.get(self.kind, ("mm", MILLIMETRE))
+        unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(size / factor, sigma / factor, unit)
 
     @property
     def sentence(self) -> str:
         """Sentence on a reference value that contradicts the other observations."""
-        what = f"{WORDS[self.kind]} {self.name}"
+        what = f"{REFERENCE_KIND_PHRASES[self.kind]} {self.name}"
         if self.kind == "mark":
-            mark = (
-                f"the mark of {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else "its mark"
-            )
+            others = ", ".join(self.indistinguishable_from)
+            mark = f"the mark of {others}" if others else "its mark"
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
             where, cause = (where, f" (its height is declared too {cause})") if self.is_height else ("away from", "")
-            end = f"{mark}{cause} (w = {self.w:.3g}): its position is estimated separately"
+            end = f"{mark}{cause} (w = {self.normalised_error:.3g}): its position is estimated separately"
             return f"set-up {self.name} is {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
-            remark = "; the ranges define the scale and the lengths only their ratios" if self.excluded else ""
-            size = f"{self.error_text} too {more} (w = {self.w:.3g})"
-            return f"{self.name} are {size}, or all ranges are too {less}: {causes}{remark}"
+            remark = "; the ranges define the scale and the lengths only their ratios" if self.is_excluded else ""
+            size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
+            return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
-            both = ", ".join((self.name, *self.indistinguishable_from))
-            size = f"{what} by {self.error_text}"
-            return f"{both} are inconsistent ({size}); the data do not show which one is wrong"
+            both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
+            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
         rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
             rest = f"or the height of set-up {self.occupied_by} over it: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
-        return f"{what} {verb} off by {self.error_text} (w = {self.w:.3g}), {rest}"
+        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {rest}"
 
     @property
     def redundancy(self) -> Floats:
@@ -162,53 +165,63 @@ class ReferenceTest(ReferenceValue):
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
-def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
-    """Problem in which exact reference values have at least `FINEST` of a reading's sigma, to be testable."""
-    if not problem.use.any():
+def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
+    """Problem in which exact reference values have a small standard deviation, so that they can be tested."""
+    if not problem.used_readings.any():
         return problem
     range_ = problem.model.geometry(state).range_
     sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = FINEST * float(np.median(sizes[problem.use]))
-    turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
-    floors = {"control": floor, "mark_control": floor, "differences": floor, "levels": turn, "yaws": turn}
-    tested = {name: getattr(problem, name).no_finer(least) for name, least in floors.items()}
+    floor = MIN_RELATIVE_SIGMA * float(np.median(sizes[problem.used_readings]))
+    turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
+    floors = {
+        "control_rows": floor,
+        "mark_control_rows": floor,
+        "difference_rows": floor,
+        "level_rows": turn,
+        "yaw_rows": turn,
+    }
+    tested = {name: getattr(problem, name).with_min_sigma(least) for name, least in floors.items()}
     exact = any(tested[name] is not getattr(problem, name) for name in floors)
     return replace(problem, **tested) if exact else problem
 
 
-def reference_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[ReferenceTest]:
-    """Tests of the reference values of an adjustment with a residual of at least `least`, and of all lengths."""
-    if not least and solution.factor is not None:
-        problem, given = relaxed_references(problem, solution.x), problem
+def reference_tests(
+    problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
+) -> list[ReferenceTest]:
+    """Tests of the reference values of an adjustment with a residual of at least `min_residual`, and of all lengths."""
+    if not min_residual and solution.factor is not None:
+        problem, given = relax_exact_references(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
     if solution.factor is None:
         return []
-    residual, tests = problem.residual(solution.x), []
-    values = [v for v in reference_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
-    values += common_scale(problem, solution.x) if least else []
-    for batch in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
-        inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
+    residual, tests = problem.whitened_residuals(solution.x), []
+    declared = reference_values(problem, solution.x)
+    values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
+    values += common_scale(problem, solution.x) if min_residual else []
+    for batch in (values[i : i + REFERENCE_BATCH_SIZE] for i in range(0, len(values), REFERENCE_BATCH_SIZE)):
+        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
         for value in batch:
             columns = slice(first, first := first + value.signature.shape[1])
             gram = value.signature.T @ value.signature - inside[:, columns].T @ response[:, columns]
-            tests.append(_test(value, gram, value.signature.T @ residual[value.rows]))
+            tests.append(_reference_test(value, gram, value.signature.T @ residual[value.rows]))
     return tests
 
 
-def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
+def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
     """Test from the Gram matrix (q, q) of a projected signature and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
-    size = np.where(size > INSENSITIVE * size.max(), size, np.inf)  # readings in plan do not depend on heights
-    share, turned = np.linalg.eigh(gram / np.outer(size, size))
-    checked = share > CHECKED
+    acts = size > MIN_RELATIVE_SIGNATURE * size.max()  # readings in plan do not depend on heights
+    size = np.where(acts, size, np.inf)
+    share, turned = np.linalg.eigh(gram_matrix / np.outer(size, size))
+    checked = share > MIN_TESTED_REDUNDANCY
     share, turned = share[checked], turned[:, checked]
-    along, back = turned.T @ (pull / size), turned / size[:, None]
+    along, back = turned.T @ (residual_product / size), turned / size[:, None]
     sure = np.sum(turned**2, axis=1) > 0.5
     return ReferenceTest(
         value.kind,
         value.name,
-        value.axes,
+        value.declared_components,
         value.sigma,
         value.residual,
         back @ (along / share),
@@ -221,84 +234,90 @@ def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
 
 def snoop_references(
     problem: NetworkProblem,
-    solution: Solution[State],
-    kinds: Collection[Kind] = KINDS,
-    exempt: frozenset[tuple[Kind, str]] = frozenset(),
-) -> tuple[NetworkProblem, Solution[State], tuple[ReferenceTest, ...]]:
+    solution: Solution[NetworkState],
+    kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
+    exempt: frozenset[tuple[ReferenceKind, str]] = frozenset(),
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
     """Problem without the reference values that contradict the other observations, its solution, and their tests.
 
     They are excluded one at a time by the decrease of chi-square; single readings that explain more are excluded during
     the tests.
     """
-    given, aside = (problem, solution), relaxed_references(problem, solution.x)
+    given, aside = (problem, solution), relax_exact_references(problem, solution.x)
     out: list[ReferenceTest] = []
-    by_far: tuple[NetworkProblem, Solution[State], int] | None = None
+    by_far: tuple[NetworkProblem, Solution[NetworkState], int] | None = None
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        suspect = _most_significant(aside, solution, kinds, exempt)
+        suspect = _largest_error(aside, solution, kinds, exempt)
         if suspect is None:
             break
         if isinstance(suspect, ReferenceTest):
             out.append(suspect)
-            if not suspect.excluded:
+            if not suspect.is_excluded:
                 break
             model = replace(aside.model, recording=drop_reference(aside.model.recording, suspect))
-            aside = relaxed_references(aside.on(model), solution.x)
+            aside = relax_exact_references(aside.with_model(model), solution.x)
         else:
-            aside = replace(aside, use=aside.use & ~suspect)
+            aside = replace(aside, used_readings=aside.used_readings & ~suspect)
         solution = solve(aside, solution.x)
-        if by_far is None and out and solution.cost < BY_FAR * given[1].cost and not _too_many(*given, out):
-            by_far = problem.on(aside.model), solution, len(out)
-    gone = [test for test in out if test.excluded]
-    too_many = solution.factor is None or _too_many(*given, gone)
+        enough = solution.sum_of_squares < MAX_CHI2_FRACTION * given[1].sum_of_squares
+        if by_far is None and out and enough and not _exclude_inconsistent_kind(*given, out):
+            by_far = problem.with_model(aside.model), solution, len(out)
+    gone = [test for test in out if test.is_excluded]
+    too_many = solution.factor is None or _exclude_inconsistent_kind(*given, gone)
     if too_many and by_far is not None:
         reduced, near, count = by_far
         reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt)
         return reduced, ended, (*_with_final_errors(out[:count], problem, ended.x), *more)
     if too_many:
-        return *given, _mutual_contradiction(gone, reference_tests(*given))
+        return *given, _contradicting_group(gone, reference_tests(*given))
     if not gone:
         return *given, tuple(out)
-    reduced = problem.on(aside.model)
+    reduced = problem.with_model(aside.model)
     ended = solve(reduced, solution.x)
-    others = {
-        kind: [test for test in reference_tests(reduced, ended) if test.kind == kind] for kind in {t.kind for t in gone}
-    }
-    weak = [test for test in gone if test.w < SIGMAS * _typical_error(others[test.kind])]
+    final = reference_tests(reduced, ended)
+    others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
+    weak = [test for test in gone if test.normalised_error < MAX_NORMALISED_ERROR * _typical_error(others[test.kind])]
     if weak:
-        contradictory = _mutual_contradiction(weak, [*weak, *(test for group in others.values() for test in group)])
+        contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
-    if min(test.w for test in gone) < PLAIN and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(
-        problem, given[1], ()
-    ):
+    doubtful = min(test.normalised_error for test in gone) < MIN_NORMALISED_ERROR_CERTAIN
+    if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
     return reduced, ended, tuple(_with_final_errors(out, problem, ended.x))
 
 
 def _with_final_errors(
-    tests: Sequence[ReferenceTest], problem: NetworkProblem, state: State
+    tests: Sequence[ReferenceTest], problem: NetworkProblem, state: NetworkState
 ) -> Iterator[ReferenceTest]:
     """Tests of reference values, with the errors of excluded ones at the final state."""
     names, marks = problem.model.recording.stations, problem.marks
     off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
     for test in tests:
-        if test.excluded and test.kind == "mark":
+        if test.is_excluded and test.kind == "mark":
             station = names.index(test.name)
-            yield replace(test, error=marks.place(station, state.position, state.points) - state.position[station])
-        elif test.excluded:
+            yield replace(
+                test,
+                error=marks.position_from_mark(station, state.station_positions, state.target_points)
+                - state.station_positions[station],
+            )
+        elif test.is_excluded:
             yield replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
         else:
             yield test
 
 
-def _mutual_contradiction(wrong: Sequence[ReferenceTest], every: Sequence[ReferenceTest]) -> tuple[ReferenceTest, ...]:
+def _contradicting_group(
+    wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
+) -> tuple[ReferenceTest, ...]:
     """First of the wrong reference values with those that contradict it, if too few exist to identify the wrong one."""
-    for test in wrong:
-        others = [other for other in every if other.kind == test.kind and other.name != test.name]
-        if 0 < len(others) < USUAL and (rivals := tuple(other.name for other in others if other.w > SIGMAS)):
-            return (replace(test, excluded=False, indistinguishable_from=rivals),)
+    for test in wrong_values:
+        others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
+        rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
+        if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
+            return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
 
 
@@ -307,20 +326,25 @@ def _typical_error(tests: Sequence[ReferenceTest]) -> float:
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
-def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Sequence[ReferenceTest]) -> float:
-    """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value `gone`.
+def _penalised_chi2(
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_values: Sequence[ReferenceTest]
+) -> float:
+    """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value `excluded_values`.
 
     A few readings may explain the same as one reference value: the penalty of each is the limit of its own test.
     """
     accepted, ended = snoop_readings(problem, solution.x)
-    readings = int(problem.use.sum())
-    count = len(list(reference_values(problem, solution.x))) + len(gone)
-    paid = sum(float(special.chdtri(test.rank, single_level(count, FAMILY_LEVEL))) for test in gone)
-    return ended.cost + paid + critical_w(readings) ** 2 * (readings - int(accepted.use.sum()))
+    readings = int(problem.used_readings.sum())
+    count = len(list(reference_values(problem, solution.x))) + len(excluded_values)
+    paid = sum(float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_LEVEL))) for test in excluded_values)
+    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.used_readings.sum()))
 
 
-def _most_significant(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], exempt: Collection[tuple[Kind, str]]
+def _largest_error(
+    problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    kinds: Collection[ReferenceKind],
+    exempt: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
     """Reference value, or readings (n, 3), that explain most.
 
@@ -331,12 +355,12 @@ def _most_significant(
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
-    redundancy = redundancy_of(problem, solution.factor)
-    w = normalised(problem, problem.residuals(problem.model.predict(solution.x)), redundancy)
-    shown = scale_of(w, redundancy)
+    redundancy = redundancy_numbers(problem, solution.factor)
+    w = normalised(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    shown = noise_scale(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:
-        healed = np.sqrt(max(solution.cost - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
+        healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
     def unlikely(drop: float, rank: int, looks: int) -> float:
@@ -347,26 +371,30 @@ def _most_significant(
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+    if scaled < max(MAX_NORMALISED_ERROR, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
-    if unlikely(reading**2, 1, int(problem.use.sum())) <= chance:
-        likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(RIVAL)]
+    if unlikely(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+        likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(MIN_LIKELIHOOD_RATIO)]
         if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
-            return replace(tests[best], excluded="scale" in kinds)
+            return replace(tests[best], is_excluded="scale" in kinds)
         marks = all(tests[k].kind == "mark" for k in likely)  # Either way they are distinct points: the later one goes.
         chosen = likely[-1] if marks else best
         rivals = tuple(tests[k].name for k in likely if k != chosen)
-        return replace(tests[chosen], excluded=marks or not rivals, indistinguishable_from=rivals)
+        return replace(tests[chosen], is_excluded=marks or not rivals, indistinguishable_from=rivals)
     aside = np.zeros(w.shape, dtype=bool)
     aside.flat[worst] = True
     return aside
 
 
-def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[ReferenceTest]) -> bool:
+def _exclude_inconsistent_kind(
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
+) -> bool:
     every = [value.kind for value in reference_values(problem, solution.x)]
-    gone = [test.kind for test in out]
-    return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
+    gone = [test.kind for test in excluded_tests]
+    return any(
+        gone.count(kind) > max(1.0, MAX_EXCLUDED_FRACTION * every.count(kind)) for kind in TESTED_REFERENCE_KINDS
+    )

@@ -9,12 +9,13 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import UNKNOWN_PPM
+from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 
-Kind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-CLEARED: dict[str, dict[str, object]] = {
+ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
+"""Kind of reference value."""
+REMOVED_SETTINGS: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
@@ -29,10 +30,10 @@ class ReferenceValue:
     Arrays are (q,) [m, rad or 1], one entry per component.
     """
 
-    kind: Kind
+    kind: ReferenceKind
     name: str
     """Target, both ends of a length or difference, or station."""
-    axes: str
+    declared_components: str
     """Known coordinates of a point or difference."""
     sigma: Floats
     """Declared standard deviation, (q,)."""
@@ -43,7 +44,7 @@ class ReferenceValue:
 
 
 @dataclass(frozen=True)
-class ReferenceRows(ReferenceValue):
+class ReferenceValueRows(ReferenceValue):
     """Reference value with its rows in an adjustment."""
 
     rows: Ints
@@ -52,68 +53,80 @@ class ReferenceRows(ReferenceValue):
     """Derivative of these rows with respect to an error in each component, (r, q)."""
 
 
-def reference_values(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Reference values of a problem, in the order of its rows."""
-    recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
-    shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
+    recording, first, gauge = problem.model.recording, int(problem.used_readings.sum()), problem.gauge_rows
+    shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
-        name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
+        name = f"{recording.targets[gauge.first_targets[i]]}-{recording.targets[gauge.second_targets[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
-        yield ReferenceRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+        yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
-    points, marks, differences = problem.control, problem.mark_control, problem.differences
-    at, on, names = points.target, marks.target, problem.marks.names
-    by_name: tuple[tuple[Kind, ControlRows, list[str], Sequence[str], Floats], ...] = (
-        ("point", points, [recording.targets[t] for t in at], (), state.points[at]),
-        ("point", marks, [names[s] for s in on], recording.stations, state.position[on]),
-        ("difference", differences, [*differences.names], (), differences.predict(state.points, state.position)),
+    points, marks, differences = problem.control_rows, problem.mark_control_rows, problem.difference_rows
+    at, on, names = points.place_indices, marks.place_indices, problem.marks.mark_names
+    by_name: tuple[tuple[ReferenceKind, ControlRows, list[str], Sequence[str], Floats], ...] = (
+        ("point", points, [recording.targets[t] for t in at], (), state.target_points[at]),
+        ("point", marks, [names[s] for s in on], recording.stations, state.station_positions[on]),
+        (
+            "difference",
+            differences,
+            [*differences.names],
+            (),
+            differences.predict(state.target_points, state.station_positions),
+        ),
     )
     for kind, controls, called, under, here in by_name:
-        for i, place in enumerate(controls.target.tolist()):
-            axes = controls.axes[i]
-            root = controls.root[i][np.ix_(axes, axes)]
+        for i, place in enumerate(controls.place_indices.tolist()):
+            axes = controls.declared_components[i]
+            root = controls.whitening_matrices[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             given_axes = "".join(axis for axis, is_axis in zip("xyz", axes, strict=True) if is_axis)
             rows = first + np.arange(len(root))
-            gap, over = (controls.points[i] - here[i])[axes], under[place] if under else ""
-            yield ReferenceRows(kind, called[i], given_axes, sigma, gap, rows, root, occupied_by=over)
+            gap, over = (controls.declared_points[i] - here[i])[axes], under[place] if under else ""
+            yield ReferenceValueRows(kind, called[i], given_axes, sigma, gap, rows, root, occupied_by=over)
             first += len(root)
-    tilts = -problem.levels.predict(state.rotation)
-    for i, station in enumerate(problem.levels.station.tolist()):
-        sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
-        yield ReferenceRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
-    gap, first = problem.yaws.residual(state.rotation), problem.level_rows.stop
-    for i, station in enumerate(problem.yaws.station.tolist()):
-        sigma = problem.yaws.sigma[i : i + 1]
+    tilts = -problem.level_rows.axis_tilts(state.station_rotations)
+    for i, station in enumerate(problem.level_rows.station_indices.tolist()):
+        sigma, rows = np.full(2, problem.level_rows.sigma[i]), problem.level_row_slice.start + 2 * i + np.arange(2)
+        yield ReferenceValueRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
+    gap, first = problem.yaw_rows.yaw_residuals(state.station_rotations), problem.level_row_slice.stop
+    for i, station in enumerate(problem.yaw_rows.station_indices.tolist()):
+        sigma = problem.yaw_rows.sigma[i : i + 1]
         rows = np.array([first + i])
-        yield ReferenceRows("yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None])
-    yield from _centrings(problem, state)
+        yield ReferenceValueRows(
+            "yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None]
+        )
+    yield from _centring_declarations(problem, state)
 
 
-def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Common scale of all reference lengths, if there are several: error of their temperature or reference standard."""
-    gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
+    gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
-        shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
-        weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
-        rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
-        yield ReferenceRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+        shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
+        weight, gap = float(np.sum(shown**2)), gauge.decorrelate(np.where(felt, problem.length_residuals(state), 0.0))
+        rows, sigma = int(problem.used_readings.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
+        yield ReferenceValueRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
 
 
-def _centrings(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Set-ups over marks that are also measured otherwise: the declaration that they are exactly on the mark."""
     marks, recording = problem.marks, problem.model.recording
-    shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
+    shared = (marks.target_indices >= 0) | (
+        np.bincount(marks.first_setup_on_mark, minlength=len(marks.first_setup_on_mark))[marks.first_setup_on_mark] > 1
+    )
     if not shared.any():
         return
-    number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
-    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
+    number = np.cumsum(problem.used_readings).reshape(problem.used_readings.shape) - 1
+    by_place = problem.model.linearised(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
-        readings = problem.use & (recording.station == s)[:, None]
+        readings = problem.used_readings & (recording.station == s)[:, None]
         if readings.any():
             name = recording.stations[s]
-            yield ReferenceRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[readings], -by_place[readings])
+            yield ReferenceValueRows(
+                "mark", name, "xyz", np.zeros(3), np.zeros(3), number[readings], -by_place[readings]
+            )
 
 
 def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
@@ -121,12 +134,14 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
     setup, name = recording.setup, test.name
     if test.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        cleared: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": lengths}
+        cleared: dict[str, object] = (
+            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_PPM} if test.kind == "scale" else {"distance": lengths}
+        )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif test.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.called != name)}
-    elif test.kind in CLEARED:
-        cleared = CLEARED[test.kind]
+    elif test.kind in REMOVED_SETTINGS:
+        cleared = REMOVED_SETTINGS[test.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
@@ -134,20 +149,20 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
     return recording.replace(setup=setup.model_copy(update=change))
 
 
-COORDINATES = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
+COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
 """Keys of the reference coordinates of a target."""
 
 
-def without_coordinates(recording: Recording) -> Recording:
+def without_reference_coordinates(recording: Recording) -> Recording:
     """Recording whose set-up contains no reference coordinates."""
     targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
-def exchanged(recording: Recording, first: str, second: str) -> Recording:
+def exchange_coordinates(recording: Recording, first: str, second: str) -> Recording:
     """Recording with the reference coordinates of two targets exchanged."""
     targets = dict(recording.setup.targets)
     for here, there in ((first, second), (second, first)):
-        coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATES}
+        coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATE_KEYS}
         targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))

@@ -11,19 +11,19 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.physics.model.measurement import State
+from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 
-ITERATIONS = 4
+MAX_SHAPE_STEPS = 4
 """Largest number of steps of the constants: a refit starts at the grid point of a search."""
-LINEAR = 1e-5
+MAX_LINEAR_CHANGE = 1e-5
 """Relative change of a constant over which readings are linear: a range of 20 m contains a thousand short waves."""
-HALVINGS = 4
+MAX_HALVINGS = 4
 """Largest number of halvings of a step that increases chi-square, for constants with a poor start."""
-NO_WORSE = 1e-3
+MAX_CHI2_INCREASE = 1e-3
 """Increase of chi-square that counts as zero: that of a constant 0.03 standard deviations from its optimum."""
-FELT = 1e-3
+MIN_SHAPE_CHANGE = 1e-3
 """Smallest change of a reading, relative to the effect, by a tenth of a shape constant at which the constant is
 estimated.
 """
@@ -36,43 +36,45 @@ class ShapeDirection(Signature):
     The parameter is the change of the constant relative to its size.
     """
 
-    base: Tunable
-    values: tuple[float, ...]
-    constant: ShapeParameter
+    effect: CandidateEffect
+    """Effect whose constant changes."""
+    parameter_values: tuple[float, ...]
+    shape_parameter: ShapeParameter
+    """Constant that changes."""
 
     name = "shape"
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
 
     def design(self, sightings: Sightings) -> Floats:
         """Central difference (n, 3, 1) by the relative change of the constant."""
-        now, values = self.now, np.array(self.values)
+        now, values = self.present_value, np.array(self.parameter_values)
         up, down = (
-            self.base.reshaped(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
-            for s in (LINEAR, -LINEAR)
+            self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
+            for s in (MAX_LINEAR_CHANGE, -MAX_LINEAR_CHANGE)
         )
-        change: Floats = ((up - down) / (2 * LINEAR))[:, :, None]
+        change: Floats = ((up - down) / (2 * MAX_LINEAR_CHANGE))[:, :, None]
         return change
 
     @property
-    def now(self) -> float:
+    def present_value(self) -> float:
         """Present value of the constant [SI]."""
-        return float(getattr(self.base, self.constant.name))
+        return float(getattr(self.effect, self.shape_parameter.name))
 
-    def moved(self, change: float) -> float:
+    def changed_value(self, change: float) -> float:
         """Constant after a relative change, within its bounds and at most halved or doubled."""
-        moved = self.now * (1 + np.clip(change, -0.5, 1.0))
-        return float(np.clip(moved, self.constant.low, self.constant.high))
+        moved = self.present_value * (1 + np.clip(change, -0.5, 1.0))
+        return float(np.clip(moved, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 
 @dataclass(frozen=True)
-class FirstOrder(Tunable):
+class FirstOrderEffect(CandidateEffect):
     """Effect in first-order form at one state of the network, used if the exact form prevents convergence.
 
     An encoder error with thousands of periods, for example, changes by a large part of a period between iterations.
     """
 
-    base: Tunable
-    at: Floats = field(compare=False, repr=False)
+    exact_effect: CandidateEffect
+    design_at_state: Floats = field(compare=False, repr=False)
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
     stations: tuple[str, ...] = ()
@@ -81,39 +83,50 @@ class FirstOrder(Tunable):
     covariates: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
+    def from_effect(cls, effect: CandidateEffect, sightings: Sightings) -> FirstOrderEffect:
         """First-order form of an effect at a state of the network."""
-        identity = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
-        return cls(base, base.design(sightings), *identity)
+        identity = (
+            effect.name,
+            effect.parameters,
+            effect.stations,
+            effect.targets,
+            effect.observables,
+            effect.covariates,
+        )
+        return cls(effect, effect.design(sightings), *identity)
 
     def design(self, sightings: Sightings) -> Floats:
         """Design (n, 3, p) of the effect at that state."""
-        return self.at
+        return self.design_at_state
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Derivative (g, p) of the reference lengths with respect to the effect's parameters."""
-        return self.base.gauge_design(first, second, points)
+        return self.exact_effect.gauge_design(first, second, points)
 
 
-def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
-    """Shape constants of an effect that influence the readings smoothly, except the `fixed` ones."""
+def _shape_directions(
+    effect: CandidateEffect, values: Floats, sightings: Sightings, fixed_constants: Collection[str]
+) -> list[ShapeDirection]:
+    """Shape constants of an effect that influence the readings smoothly, except the `fixed_constants` ones."""
     directions = []
     size = float(np.abs(effect.design(sightings) @ values).max())
-    for shape in type(effect).shape:
+    for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
-        if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.steps < 2:
+        if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
         direction = ShapeDirection(effect, tuple(values), shape)
-        if float(np.abs(direction.design(sightings)).max()) > FELT * size:
+        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * size:
             directions.append(direction)
     return directions
 
 
-class Estimated(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """Estimate of a parameter or shape constant of an effect [SI]."""
 
     parameter: Parameter | ShapeParameter
+    """Parameter or shape constant."""
     value: float
+    """Estimated value [SI]."""
     sigma: float
     """Standard deviation; infinite for a constant with which the adjustment did not converge."""
 
@@ -127,22 +140,22 @@ class Refit:
     """
 
     adjustment: Adjustment
-    effects: tuple[Tunable, ...]
-    estimates: tuple[tuple[Estimated, ...], ...]
+    effects: tuple[CandidateEffect, ...]
+    estimates: tuple[tuple[ParameterEstimate, ...], ...]
 
 
-def refit(
-    adjusted: Callable[..., Adjustment],
-    effects: Sequence[Tunable],
+def refit_with_effects(
+    adjustment: Callable[..., Adjustment],
+    effects: Sequence[CandidateEffect],
     *,
-    start: State,
+    start: NetworkState,
     fixed: Sequence[Collection[str]] = (),
 ) -> Refit:
     """Adjustment with effects, in which shape constants are estimated together with their uncertainty.
 
     Parameters
     ----------
-    adjusted : callable
+    adjustment : callable
         The adjustment with `effects` from a `start`, both by name.
     effects : sequence of Tunable
     start : State
@@ -152,84 +165,88 @@ def refit(
     """
     stay = fixed or [()] * len(effects)
     current = list(effects)
-    fitted = joint = adjusted(effects=current, start=start)
-    if not fitted.solution.converged:
+    fitted = joint = adjustment(effects=current, start=start)
+    if not fitted.solution.has_converged:
         sightings = fitted.problem.model.sightings(start)
-        current = [FirstOrder.of(effect, sightings) for effect in current]
-        fitted = joint = adjusted(effects=current, start=start)
+        current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
+        fitted = joint = adjustment(effects=current, start=start)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
-    for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
-        values = _split(current, fitted.state.extra)
+    for _ in range(MAX_SHAPE_STEPS if any(type(e).shape_parameters for e in current) else 0):
+        values = _values_by_effect(current, fitted.state.extra_parameters)
         each = zip(current, values, stay, strict=True)
-        directions = [_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
+        directions = [_shape_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjusted(effects=[*current, *flat], start=fitted.state)
-        if not joint.solution.converged:
+        joint = adjustment(effects=[*current, *flat], start=fitted.state)
+        if not joint.solution.has_converged:
             break
         first = sum(len(effect.parameters) for effect in current)
-        changes = joint.state.extra[first : first + len(flat)]
-        if np.all(np.abs(changes) < LINEAR):
+        changes = joint.state.extra_parameters[first : first + len(flat)]
+        if np.all(np.abs(changes) < MAX_LINEAR_CHANGE):
             break
-        step = _step(adjusted, current, directions, changes, fitted)
+        step = _damped_step(adjustment, current, directions, changes, fitted)
         if step is None:
             break
         current, fitted = step
-    named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
-    return Refit(fitted, named, _estimates(fitted, joint, current, directions))
+    named = tuple(e.exact_effect if isinstance(e, FirstOrderEffect) else e for e in current)
+    return Refit(fitted, named, _estimates_with_uncertainty(fitted, joint, current, directions))
 
 
-def _step(
-    adjusted: Callable[..., Adjustment],
-    effects: list[Tunable],
+def _damped_step(
+    adjustment: Callable[..., Adjustment],
+    effects: list[CandidateEffect],
     directions: list[list[ShapeDirection]],
     changes: Floats,
-    before: Adjustment,
-) -> tuple[list[Tunable], Adjustment] | None:
+    previous: Adjustment,
+) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
 
     It is None otherwise.
     """
-    for share in 0.5 ** np.arange(1 + HALVINGS):
-        moved = _reshaped(effects, directions, share * changes)
-        tried = adjusted(effects=moved, start=before.state)
-        if tried.solution.converged and tried.chi2 <= before.chi2 + NO_WORSE:
+    for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
+        moved = _effects_with_changed_shapes(effects, directions, share * changes)
+        tried = adjustment(effects=moved, start=previous.state)
+        if tried.solution.has_converged and tried.chi2 <= previous.chi2 + MAX_CHI2_INCREASE:
             return moved, tried
     return None
 
 
-def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
+def _values_by_effect(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
     """Values of the parameters of each effect."""
     sizes = [len(e.parameters) for e in effects]
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
-def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], changes: Floats) -> list[Tunable]:
+def _effects_with_changed_shapes(
+    effects: list[CandidateEffect], directions: list[list[ShapeDirection]], changes: Floats
+) -> list[CandidateEffect]:
     """Effects with relative changes of their shape constants."""
     change = iter(changes.tolist())
-    moves = [{d.constant.name: d.moved(next(change)) for d in group} for group in directions]
-    return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
+    moves = [{d.shape_parameter.name: d.changed_value(next(change)) for d in group} for group in directions]
+    return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
-def _estimates(
-    fitted: Adjustment,
+def _estimates_with_uncertainty(
+    adjustment: Adjustment,
     joint: Adjustment,
-    effects: Sequence[Tunable],
+    effects: Sequence[CandidateEffect],
     directions: list[list[ShapeDirection]],
-) -> tuple[tuple[Estimated, ...], ...]:
+) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
-    shaped = joint.solution.converged and len(joint.effects) > len(effects)
-    carrier = joint if shaped else fitted
-    if not (effects and carrier.solution.converged):
+    shaped = joint.solution.has_converged and len(joint.effects) > len(effects)
+    carrier = joint if shaped else adjustment
+    if not (effects and carrier.solution.has_converged):
         return tuple(() for _ in effects)
-    sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
+    sigma = _values_by_effect(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
     rows = []
-    for i, (effect, values) in enumerate(zip(effects, _split(effects, fitted.state.extra), strict=True)):
-        row = [Estimated(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
+    for i, (effect, values) in enumerate(
+        zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)
+    ):
+        row = [ParameterEstimate(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
         for direction in directions[i]:
-            now = float(getattr(effect, direction.constant.name))
-            row.append(Estimated(direction.constant, now, float(next(relative)[0]) * abs(now)))
+            now = float(getattr(effect, direction.shape_parameter.name))
+            row.append(ParameterEstimate(direction.shape_parameter, now, float(next(relative)[0]) * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)

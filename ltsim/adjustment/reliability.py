@@ -6,78 +6,78 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import FAMILY_LEVEL, POWER, SINGLE_LEVEL, UNCHECKED
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_NUMERICAL_REDUNDANCY, SINGLE_LEVEL, TEST_POWER
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.solve.design import median_deviation
+from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import BlockFactor
 
-BELIEVED = 1.25
+MAX_SIGMA0_DECLARED_NOISE = 1.25
 """Robust sigma0 up to which the declared noise is used; above it residuals are tested by the estimated noise."""
-CHECKED = 0.1
+MIN_REDUNDANCY_FOR_NOISE = 0.1
 """Redundancy from which a residual is used to estimate the noise."""
-FEW = 15
+MIN_DOF_FOR_ESTIMATED_NOISE = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace the declared noise."""
-FAR_MORE = 2.0
+MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
-EQUIVALENT = 0.9
+MIN_EQUIVALENT_CORRELATION = 0.9
 """Squared correlation of two residuals above which no test distinguishes their errors."""
 
 
-def redundancy_of(problem: NetworkProblem, factor: BlockFactor) -> Floats:
+def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
     """Redundancy numbers (n, 3), derivative of a residual with respect to an error of its reading.
 
     It is NaN for unused readings.
     """
-    share = np.full(problem.use.shape, np.nan)
-    share[problem.use] = 1.0 - factor.leverage()[: int(problem.use.sum())]
+    share = np.full(problem.used_readings.shape, np.nan)
+    share[problem.used_readings] = 1.0 - factor.leverage()[: int(problem.used_readings.sum())]
     return share
 
 
 def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
-    checked = problem.use & (redundancy > UNCHECKED)
-    w = np.where(problem.use, 0.0, np.nan)
+    checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+    w = np.where(problem.used_readings, 0.0, np.nan)
     w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
     return w
 
 
-def scale_of(w: Floats, redundancy: Floats) -> float:
+def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
     """Factor on the declared noise from the residuals, at least one.
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
-    shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
-    return shown if shown > BELIEVED else 1.0
+    shown = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
+    return shown if shown > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
-def noisy_groups(w: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
+def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
     """Targets whose readings scatter far more than all others, and the scatter of both groups in sigmas.
 
-    `w` and `redundancy` (n, 3), `target` (n,).
+    `normalised_residuals` and `redundancy` (n, 3), `target` (n,).
     """
-    testable = np.where(np.nan_to_num(redundancy) > CHECKED, w, np.nan)
+    testable = np.where(np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE, normalised_residuals, np.nan)
 
     def noise(rows: Bools) -> float:
-        return median_deviation(testable[rows][np.isfinite(testable[rows])])
+        return robust_sigma(testable[rows][np.isfinite(testable[rows])])
 
     count = np.bincount(target, np.isfinite(testable).sum(axis=1))
-    scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= FEW).tolist()}
+    scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
     named: list[int] = []
     for t in sorted(scatter_of, key=lambda t: -scatter_of[t])[: len(scatter_of) - 1]:
-        if not scatter_of[t] > FAR_MORE * noise(~np.isin(target, [*named, t])):
+        if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):
             break
         named.append(t)
     at = np.isin(target, named)
     return np.array(named, dtype=np.int64), noise(at) if named else 1.0, noise(~at)
 
 
-def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
-    """Limit of |w| for `count` readings tested together (Sidak)."""
-    return float(-special.ndtri(0.5 * single_level(count, level)))
+def critical_w(n_readings: int, level: float = FAMILY_LEVEL) -> float:
+    """Limit of |w| for `n_readings` readings tested together (Sidak)."""
+    return float(-special.ndtri(0.5 * level_of_single_test(n_readings, level)))
 
 
-def p_value_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
-    """Probability that one of `count` readings has such a |w| / sigma0; infinite `dof` means the declared noise.
+def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
+    """Probability that one of `n_readings` readings has such a |w| / sigma0; infinite `dof` means the declared noise.
 
     References
     ----------
@@ -88,34 +88,45 @@ def p_value_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
     t = tau * np.sqrt((finite_dof - 1.0) / np.maximum(finite_dof - tau**2, 1e-300))
     single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
     single = np.where(dof < 2, 1.0, single)
-    return np.asarray(-np.expm1(count * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
+    return np.asarray(-np.expm1(n_readings * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
 
 
 def iterative_snooping(
-    gap: Floats, shown: Floats, scale: Floats, dof: Floats, count: int, level: float
+    residuals: Floats, residual_response: Floats, scale: Floats, dof: Floats, n_readings: int, level: float
 ) -> list[tuple[int, float, float, float]]:
     """Outliers among k readings, the most significant first: index, error in sigmas, w and p-value of each.
 
-    `gap` (k,) holds their residuals in sigmas, `shown` (k, k) the effect of an error of each on these. Residuals that
-    one outlier explains do not count for another; readings that cannot be distinguished from it follow it in the list.
+    `residuals` (k,) holds their residuals in sigmas, `residual_response` (k, k) the effect of an error of each on
+    these. Residuals that one outlier explains do not count for another; readings that cannot be distinguished from it
+    follow it in the list.
     """
-    outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(shown).copy()
-    while (redundancy > UNCHECKED).any():
-        w = np.where(redundancy > UNCHECKED, gap / np.sqrt(np.maximum(redundancy, UNCHECKED)), 0.0)
-        chance, k = p_value_of_tau(np.abs(w) / scale, dof, count), int(np.argmax(np.abs(w) / scale))
+    outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(residual_response).copy()
+    while (redundancy > MIN_NUMERICAL_REDUNDANCY).any():
+        w = np.where(
+            redundancy > MIN_NUMERICAL_REDUNDANCY,
+            residuals / np.sqrt(np.maximum(redundancy, MIN_NUMERICAL_REDUNDANCY)),
+            0.0,
+        )
+        chance, k = p_value_of_tau(np.abs(w) / scale, dof, n_readings), int(np.argmax(np.abs(w) / scale))
         if not chance[k] < level:
             break
-        is_equivalent = (shown[k] ** 2 > EQUIVALENT * shown[k, k] * np.diag(shown)) & (redundancy > UNCHECKED)
+        is_equivalent = (
+            residual_response[k] ** 2
+            > MIN_EQUIVALENT_CORRELATION * residual_response[k, k] * np.diag(residual_response)
+        ) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
         equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < level)).tolist() if i != k]
-        outliers += [(i, float(gap[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
-        gap, shown = gap - shown[k] * gap[k] / redundancy[k], shown - np.outer(shown[k], shown[k]) / redundancy[k]
-        redundancy = np.where(is_equivalent | (redundancy <= UNCHECKED), 0.0, np.diag(shown))
+        outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
+        residuals, residual_response = (
+            residuals - residual_response[k] * residuals[k] / redundancy[k],
+            residual_response - np.outer(residual_response[k], residual_response[k]) / redundancy[k],
+        )
+        redundancy = np.where(is_equivalent | (redundancy <= MIN_NUMERICAL_REDUNDANCY), 0.0, np.diag(residual_response))
     return outliers
 
 
-def single_level(count: int, level: float) -> float:
-    """Significance level of one of `count` tests that together have `level` (Sidak)."""
-    return float(-np.expm1(np.log1p(-level) / max(count, 1)))
+def level_of_single_test(n_tests: int, level: float) -> float:
+    """Significance level of one of `n_tests` tests that together have `level` (Sidak)."""
+    return float(-np.expm1(np.log1p(-level) / max(n_tests, 1)))
 
 
 @lru_cache
@@ -135,17 +146,17 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    limit = special.chdtri(dof, single_level(hypotheses, level))
-    return float(special.chndtrinc(limit, dof, 1.0 - POWER))
+    limit = special.chdtri(dof, level_of_single_test(hypotheses, level))
+    return float(special.chndtrinc(limit, dof, 1.0 - TEST_POWER))
 
 
-def neg_log_p_chi2(drop: Floats | float, rank: Ints | int) -> Floats:
-    """Negative log p-value of a chi-square decrease `drop` with `rank` degrees of freedom; 0 for rank 0.
+def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
+    """Negative log p-value of a chi-square decrease `chi2_drop` with `rank` degrees of freedom; 0 for rank 0.
 
     For probabilities below the range of a float, the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x) are
     used.
     """
-    a, x = np.maximum(rank, 1) / 2.0, np.maximum(drop, 0.0) / 2.0
+    a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
     far = x > 300.0
     beyond = np.where(far, x, 301.0)
     tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)

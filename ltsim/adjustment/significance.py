@@ -15,15 +15,15 @@ FAMILY_LEVEL = 0.01
 Holm over the family)."""
 SINGLE_LEVEL = 0.001
 """Significance level of a test of one hypothesis that was selected in advance."""
-POWER = 0.8
+TEST_POWER = 0.8
 """Power: probability that an error of the minimal detectable size is detected."""
-UNCHECKED = 1e-6
+MIN_NUMERICAL_REDUNDANCY = 1e-6
 """Redundancy, or fraction of a squared signature after the adjustment, below which a residual is rounding error:
 the square root of double precision is 1.5e-8, and normal equations lose as many digits again.
 """
-FAR = 50.0
+MIN_FAR_RESIDUAL = 50.0
 """Smallest residual, in standard deviations, that noise does not explain, even noise ten times as large as declared."""
-MAJORITY = 0.5
+MIN_FAULTY_FRACTION_OF_PLACE = 0.5
 """Fraction of faulty readings at a place from which the place, and not the single readings, has an error."""
-NOT_EXCLUDED = 0.01
+MIN_REPORTED_PROBABILITY = 0.01
 """Smallest posterior probability of a reported alternative."""

@@ -9,50 +9,50 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import critical_w, normalised, redundancy_of, scale_of
-from ltsim.adjustment.significance import MAJORITY, UNCHECKED
+from ltsim.adjustment.reliability import critical_w, noise_scale, normalised, redundancy_numbers
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import reweighted
-from ltsim.adjustment.structure import refusing_singular
+from ltsim.adjustment.stochastic_model import iterate_reweighted
+from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import determines_pose
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, median_deviation, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, robust_sigma, scale_to_unit_diagonal, to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
-LEAST = 10
+MIN_COPIED_ROWS = 10
 """Smallest number of rows without a clock that must repeat others (all that can) before they count as copies."""
-LARGEST_ERROR = 1e-3
-"""Error [m] beyond any plausible tracker error within `WORKSHOP`."""
-WORKSHOP = 10.0
-"""[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
-FACTOR = 30.0
+MAX_TRACKER_ERROR = 1e-3
+"""Error [m] beyond any plausible tracker error within `MAX_WORKSHOP_RANGE`."""
+MAX_WORKSHOP_RANGE = 10.0
+"""[m] Range up to which `MAX_TRACKER_ERROR` holds; beyond it, errors of angles grow with the range."""
+MIN_GROSS_MISCLOSURE_RATIO = 30.0
 """Ratio of a misclosure to the robust standard deviation of all misclosures above which a pointing is a gross
 error and not noise.
 """
-PASSES = 20
+MAX_LINEAR_STEPS = 20
 """Largest number of linear steps from approximate coordinates until no gross misclosure decreases."""
-SETTLED = 0.9
+MAX_MISCLOSURE_RATIO = 0.9
 """Ratio of successive gross misclosures below which an iteration is not converged."""
-RELAXATIONS = 8
+MAX_REWEIGHTINGS = 8
 """Number of reweightings before snooping; the single steps of snooping correct the remaining outliers."""
-ROUNDS = 20
+MAX_SNOOPING_PASSES = 20
 """Largest number of solutions until the set of rejected readings is stable; readings that still alternate are
 borderline.
 """
-STEPS = 10
+MAX_INTERMEDIATE_STEPS = 10
 """Largest number of iterations of an intermediate solution; the last one converges."""
-UNPREDICTED = 100.0
+MAX_PREDICTION_SIGMA = 100.0
 """Standard deviation of a prediction, in sigmas of a rejected reading, above which the target
 counts as undetermined.
 """
 
 
-def copied_rows(recording: Recording) -> Bools:
+def is_copied_row(recording: Recording) -> Bools:
     """Flags (n,) of the rows that equal an earlier one of the same time, set-up, target and face in every digit.
 
     Without a clock two pointings may be equal by chance: rows are then copies only if all repeated pointings are equal
@@ -64,14 +64,14 @@ def copied_rows(recording: Recording) -> Bools:
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
     whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
-    repeated = _later(np.concatenate([place, clock], axis=1))
-    copied = _later(whole) & recording.measured.any(axis=1)
+    repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
+    copied = _equals_earlier_row(whole) & recording.measured.any(axis=1)
     if recording.has_clock:
         return copied
-    return copied & (copied.sum() >= max(LEAST, int(repeated.sum())))
+    return copied & (copied.sum() >= max(MIN_COPIED_ROWS, int(repeated.sum())))
 
 
-def _later(rows: np.ndarray) -> Bools:
+def _equals_earlier_row(rows: np.ndarray) -> Bools:
     """Flags (n,) of the rows that equal an earlier one."""
     later = np.ones(len(rows), dtype=bool)
     later[np.unique(rows, axis=0, return_index=True)[1]] = False
@@ -81,67 +81,80 @@ def _later(rows: np.ndarray) -> Bools:
 # --- what the readings in use do not place ------------------------------------------------------------------------
 
 
-def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
+def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem without the readings, reference lengths and differences of undetermined targets.
 
     The row of a length to such a target remains, without weight.
     """
     while True:
-        loose = undetermined_targets(problem, state)
-        gauge = problem.gauge
-        reached = problem.structure.unseen | loose
-        idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
-        use = problem.use & ~loose[problem.model.recording.target][:, None]
-        differences = problem.differences.subset(~problem.unplaced(reached))
-        if np.array_equal(use, problem.use) and not idle.any() and len(differences) == len(problem.differences):
+        loose = is_undetermined_target(problem, state)
+        gauge = problem.gauge_rows
+        reached = problem.structure.is_unmeasured_target | loose
+        idle = (reached[gauge.first_targets] | reached[gauge.second_targets]) & np.isfinite(gauge.sigma)
+        use = problem.used_readings & ~loose[problem.model.recording.target][:, None]
+        differences = problem.difference_rows.subset(~problem.is_open_difference(reached))
+        if (
+            np.array_equal(use, problem.used_readings)
+            and not idle.any()
+            and len(differences) == len(problem.difference_rows)
+        ):
             return problem
-        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use, differences=differences)
+        problem = replace(
+            problem,
+            gauge_rows=replace(gauge, is_unweighted=gauge.is_unweighted | idle),
+            used_readings=use,
+            difference_rows=differences,
+        )
 
 
-def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
+def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
-    whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
-    doubtful = ~whole & ~problem.structure.unseen
-    doubtful[problem.marks.target[problem.marks.target >= 0]] = False
+    whole = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
+    doubtful = ~whole & ~problem.structure.is_unmeasured_target
+    doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
     if not doubtful.any():
         return doubtful
-    weighted = np.where(problem.use, 1.0 / problem.sigma, 0.0)[:, :, None]
-    rows = np.where(problem.use[:, :, None], problem.model.linearised(state).by_target * weighted, 0.0)
+    weighted = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
+    rows = np.where(
+        problem.used_readings[:, :, None], problem.model.linearised(state).target_derivatives * weighted, 0.0
+    )
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
-    gauge, control = problem.gauge, problem.control
-    along = gauge.directions(state.points) / gauge.sigma[:, None]
-    for end in (gauge.first, gauge.second):
+    gauge, control = problem.gauge_rows, problem.control_rows
+    along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
+    for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
-    np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
-    for end in problem.differences.ends:
-        rows_at_end = problem.differences.subset(end < count)
-        np.add.at(normal, end[end < count], np.swapaxes(rows_at_end.root, 1, 2) @ rows_at_end.root)
+    np.add.at(normal, control.place_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
+    for end in problem.difference_rows.ends:
+        rows_at_end = problem.difference_rows.subset(end < count)
+        np.add.at(
+            normal, end[end < count], np.swapaxes(rows_at_end.whitening_matrices, 1, 2) @ rows_at_end.whitening_matrices
+        )
     normal[problem.structure.height_free_targets, 2, 2] += np.trace(
         normal[problem.structure.height_free_targets], axis1=1, axis2=2
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
-    scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
+    scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
     return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
-def pose_defect(problem: NetworkProblem, state: State) -> str:
+def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
     """Sentence on a station whose targets do not determine its pose, by geometry alone; empty for none.
 
     Set-ups over marks and stations without readings are excluded.
     """
     recording, marks = problem.model.recording, problem.marks
     sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    used = problem.use.any(axis=1)
+    used = problem.used_readings.any(axis=1)
     sighted[recording.station[used], recording.target[used]] = True
     vertical = np.full((len(sighted), 3), np.nan)
-    vertical[problem.levels.station] = problem.levels.vertical
-    free = np.array([not name for name in marks.names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~determines_pose(state.points, sighted, vertical))
+    vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
+    free = np.array([not name for name in marks.mark_names]) & sighted.any(axis=1)
+    few = np.flatnonzero(free & ~determines_pose(state.target_points, sighted, vertical))
     if not len(few):
         return ""
-    levelled = few[0] in problem.levels.station
+    levelled = few[0] in problem.level_rows.station_indices
     what = "two targets that are not above one another" if levelled else "three targets that are not on one line"
     return f"station {recording.stations[few[0]]} sees fewer than {what}, which a pose needs"
 
@@ -149,20 +162,20 @@ def pose_defect(problem: NetworkProblem, state: State) -> str:
 # --- before the adjustment ----------------------------------------------------------------------------------------
 
 
-class Screened(NamedTuple):
+class ScreenedNetwork(NamedTuple):
     """Recording without readings to unconnected targets, and the start of its network."""
 
     recording: Recording
-    network: tuple[Floats, Floats, Floats]
+    start_network: tuple[Floats, Floats, Floats]
     """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), after correction of errors in the start values."""
-    gross: Bools
+    is_gross_pointing: Bools
     """Flags (n,) of the pointings with errors beyond any tracker error."""
-    lost: Bools
+    is_unconnected_target: Bools
     """Flags (T,) of the targets that are not connected to the network."""
 
 
-@refusing_singular
-def screen_gross_errors(recording: Recording) -> Screened:
+@raise_for_singular_network
+def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     """Start of a network, and its gross pointings; raises NetworkError.
 
     Gross pointings have far larger misclosures than the others: an exchanged or misnamed reflector, a wrong unit in one
@@ -171,38 +184,45 @@ def screen_gross_errors(recording: Recording) -> Screened:
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
-    model = MeasurementModel(recording, ideal())
-    state = State(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.extra_size))
-    excess = _excess(model, state)
-    for _ in range(PASSES if np.any(excess > 1.0) else 0):
-        problem = drop_undetermined(NetworkProblem.of(model), state)
-        state, length = _step(problem, state, model.linearised(state), np.maximum(excess, 1.0)[:, None])
-        before, excess = excess, _excess(model, state)
-        if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
+    model = MeasurementModel(recording, ideal_construction())
+    state = NetworkState(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.n_extra_parameters))
+    excess = _relative_misclosure(model, state)
+    for _ in range(MAX_LINEAR_STEPS if np.any(excess > 1.0) else 0):
+        problem = drop_undetermined(NetworkProblem.from_model(model), state)
+        state, length = _relaxed_step(problem, state, model.linearised(state), np.maximum(excess, 1.0)[:, None])
+        before, excess = excess, _relative_misclosure(model, state)
+        if not length or not np.any((excess > 1.0) & (excess < MAX_MISCLOSURE_RATIO * before)):
             break
-    return Screened(recording, (state.position, state.rotation, state.points), excess > 1.0, lost)
+    return ScreenedNetwork(
+        recording, (state.station_positions, state.station_rotations, state.target_points), excess > 1.0, lost
+    )
 
 
-def _excess(model: MeasurementModel, state: State) -> Floats:
+def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats:
     """Misclosure (n,) of each pointing divided by the limit for gross errors."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     range_ = model.geometry(state).range_
     gap[:, 1] *= range_ * np.cos(predicted[:, 2])
     gap[:, 2] *= range_
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
-    limit = np.maximum(LARGEST_ERROR * np.maximum(1.0, range_ / WORKSHOP), FACTOR * median_deviation(miss))
+    limit = np.maximum(
+        MAX_TRACKER_ERROR * np.maximum(1.0, range_ / MAX_WORKSHOP_RANGE),
+        MIN_GROSS_MISCLOSURE_RATIO * robust_sigma(miss),
+    )
     return miss / limit
 
 
-def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: Floats) -> tuple[State, float]:
-    """State after a step with standard deviations multiplied by `loose`, and its squared length.
+def _relaxed_step(
+    problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
+) -> tuple[NetworkState, float]:
+    """State after a step with standard deviations multiplied by `sigma_factors`, and its squared length.
 
     It is 0 for a singular system.
     """
     try:
-        system = replace(problem, sigma=problem.sigma * loose).system(state, prediction)
+        system = replace(problem, sigma=problem.sigma * sigma_factors).linear_system(state, prediction)
         step = BlockFactor(system).step()
     except SingularSystemError:
         return state, 0.0
@@ -213,8 +233,8 @@ def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: 
 
 
 def snoop_readings(
-    problem: NetworkProblem, state: State, rounds: int = ROUNDS
-) -> tuple[NetworkProblem, Solution[State]]:
+    problem: NetworkProblem, state: NetworkState, max_passes: int = MAX_SNOOPING_PASSES
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution.
 
     All readings in `use` may be used, and `state` is an approximate solution.
@@ -222,119 +242,133 @@ def snoop_readings(
     Reweighting gives a network that many outliers do not distort, and readings that it rejects are removed. Data
     snooping follows, and removed readings are tested again against the network without them.
     """
-    limit = critical_w(int(problem.use.sum()))
-    state, _ = reweighted(problem, state, int(problem.use.sum()), least=1e-3, steps=RELAXATIONS)
+    limit = critical_w(int(problem.used_readings.sum()))
+    state, _ = iterate_reweighted(
+        problem, state, int(problem.used_readings.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
+    )
     try:
-        rejected = _rejected(problem, state, limit)
+        rejected = _reject_readings(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
     tried: set[bytes] = set()
-    placed, target = state.points, problem.model.recording.target
+    placed, target = state.target_points, problem.model.recording.target
     while True:
-        reduced = drop_undetermined(replace(problem, use=problem.use & ~rejected), state)
-        solution = solve(reduced, state, cap=STEPS)
+        reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
+        solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
         tried.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
-            whole = rejected | (_mostly(rejected, problem)[problem.model.recording.station][:, None] & problem.use)
+            whole = rejected | (
+                _mostly_rejected_setups(rejected, problem)[problem.model.recording.station][:, None]
+                & problem.used_readings
+            )
             if not np.array_equal(whole, rejected):  # a set-up of which little is left holds its pose by nothing
                 rejected = whole
                 continue
-            size = np.where(rejected, whitened_readings(problem, state), -1.0)
+            size = np.where(rejected, whitened_residuals(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
-        new = _retested(problem, reduced, solution, rejected, limit)
+        new = _test_rejected_again(problem, reduced, solution, rejected, limit)
         if np.array_equal(new, rejected):
-            return reduced, solution if solution.converged else solve(reduced, state)
-        if new.tobytes() in tried or len(tried) >= rounds:  # On the edge: what is out in either stays out.
-            last = drop_undetermined(replace(problem, use=problem.use & ~(new | rejected)), state)
+            return reduced, solution if solution.has_converged else solve(reduced, state)
+        if new.tobytes() in tried or len(tried) >= max_passes:  # On the edge: what is out in either stays out.
+            last = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~(new | rejected)), state)
             ended = solve(last, state)
             return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
         rejected = new
-        held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
-        state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
+        held = np.bincount(target, (problem.used_readings & ~rejected).any(axis=1), len(placed)) > 0
+        state = replace(
+            state, target_points=np.where(held[:, None], state.target_points, placed)
+        )  # misses are told from there
 
 
-def _rejected(problem: NetworkProblem, state: State, limit: float) -> Bools:
+def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
     """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
     prediction = problem.model.linearised(state)
-    readings, system = prediction.readings, problem.system(state, prediction)
+    readings, system = prediction.readings, problem.linear_system(state, prediction)
     del prediction
-    w, scale, _ = _tested(problem, problem, readings, BlockFactor(system))
+    w, scale, _ = _test_readings(problem, problem, readings, BlockFactor(system))
     return np.asarray(w > limit * scale)
 
 
-def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
+def _mostly_rejected_setups(rejected: Bools, problem: NetworkProblem) -> Bools:
     """Flags (S,) of the set-ups with more rejected readings (n, 3) than used ones."""
     recording = problem.model.recording
     out, used = (
-        np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
+        np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
+        for rows in (rejected, problem.used_readings)
     )
-    return np.asarray(out > MAJORITY * used)
+    return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
 
 
-def whitened_readings(problem: NetworkProblem, state: State) -> Floats:
+def whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
     """Absolute residuals (n, 3) in standard deviations of the readings; 0 if not measured."""
-    return _whitened(problem, problem.model.predict(state))
+    return _whitened_residuals_of(problem, problem.model.predict(state))
 
 
-def _whitened(problem: NetworkProblem, readings: Floats) -> Floats:
-    """Absolute residuals (n, 3) in standard deviations, as `whitened_readings`, for given predicted readings (n, 3)."""
-    return np.nan_to_num(np.abs(problem.residuals(readings) / problem.sigma))
+def _whitened_residuals_of(problem: NetworkProblem, readings: Floats) -> Floats:
+    """Absolute residuals (n, 3) of given predicted readings (n, 3), in standard deviations."""
+    return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
 
-def prediction_spread(
-    problem: NetworkProblem, solution: Solution[State], omitted: Bools, prediction: Prediction | None = None
+def prediction_sigmas(
+    problem: NetworkProblem, solution: Solution[NetworkState], omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
     """Standard deviations (k,) of the deviations of `omitted` (n, 3) readings from predictions, over the declared.
 
     The `prediction` is that of the solution's state, computed here by default.
     """
     assert solution.factor is not None
-    system = problem.system(solution.x, prediction or problem.model.linearised(solution.x))
-    rows = as_dense(system.design[np.flatnonzero(omitted[problem.use])])
+    system = problem.linear_system(solution.x, prediction or problem.model.linearised(solution.x))
+    rows = to_dense(system.design[np.flatnonzero(omitted[problem.used_readings])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
 
 
-def _tested(
+def _test_readings(
     problem: NetworkProblem, reduced: NetworkProblem, readings: Floats, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
     """Values |w| (n, 3) of the readings of `reduced`, the scale of the noise, and redundancy numbers (n, 3).
 
     `factor` belongs to the state that predicts the `readings` (n, 3).
     """
-    redundancy = redundancy_of(reduced, factor)
-    w = normalised(reduced, problem.residuals(readings), redundancy)
-    return np.nan_to_num(np.abs(w)), scale_of(w, redundancy), redundancy
+    redundancy = redundancy_numbers(reduced, factor)
+    w = normalised(reduced, problem.reading_residuals(readings), redundancy)
+    return np.nan_to_num(np.abs(w)), noise_scale(w, redundancy), redundancy
 
 
-def _retested(
-    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
+def _test_rejected_again(
+    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], rejected: Bools, limit: float
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
-    out = rejected & problem.use
+    out = rejected & problem.used_readings
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearised(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
-    w, scale, redundancy = _tested(problem, reduced, readings, solution.factor)
-    new: Bools = (w > limit * scale) & (redundancy > UNCHECKED)
+    w, scale, redundancy = _test_readings(problem, reduced, readings, solution.factor)
+    new: Bools = (w > limit * scale) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     if new.any():
         new &= w > 0.5 * w.max()
     if prediction is not None:
-        spread = prediction_spread(problem, solution, out, prediction)
-        still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
+        spread = prediction_sigmas(problem, solution, out, prediction)
+        still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
-        still[out] = _whitened(problem, readings)[out] / spread > limit * scale
-        unpredicted = np.argwhere(out)[spread > UNPREDICTED, 0]
-        is_open = _mostly(out, problem)[stations[unpredicted]]  # what is left of such a set-up holds no pose
+        still[out] = _whitened_residuals_of(problem, readings)[out] / spread > limit * scale
+        unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
+        is_open = _mostly_rejected_setups(out, problem)[
+            stations[unpredicted]
+        ]  # what is left of such a set-up holds no pose
         alone[targets[unpredicted[~is_open]]] = True
         lost[stations[unpredicted[is_open]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
-        new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
-        new |= problem.use & lost[stations][:, None]
+        new |= (
+            still
+            | (rejected & reduced.structure.is_unmeasured_target[targets][:, None])
+            | (problem.used_readings & alone[targets][:, None])
+        )
+        new |= problem.used_readings & lost[stations][:, None]
     return new

@@ -13,17 +13,17 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Stage
+from ltsim.physics.effects.effect import LightPathStage
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.scene.sightings import Sightings
 
-WITNESSES = 3
+MIN_SUPPORTING_TARGETS = 3
 """Smallest number of targets that must support a motion of the station; with fewer the targets may have moved."""
 
 
 @dataclass(frozen=True)
-class EvenMotion(StationMotion):
+class UniformMotion(StationMotion):
     """Uniform motion of a station during its visit, parametrised by the final displacement.
 
     It is no effect of the catalogue, because many causes produce it.
@@ -33,7 +33,7 @@ class EvenMotion(StationMotion):
     """
 
     name = "station-motion"
-    stage = Stage.STATION
+    stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = StationBump.parameters
@@ -42,41 +42,42 @@ class EvenMotion(StationMotion):
         """Fraction of the complete motion at each pointing, for each component."""
         longest = np.full(len(sightings.station_names), 1e-9)
         np.maximum.at(longest, sightings.station, sightings.station_time)
-        share = by_runs(sightings).station_time / longest[sightings.station]
-        return (self.mask(sightings) * share)[:, None, None] * np.eye(6)
+        share = with_equal_times_per_run(sightings).station_time / longest[sightings.station]
+        return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 
 @dataclass(frozen=True)
 class SuddenMotion(StationBump):
     """Sudden motion of a station in one gap between its pointings, of any cause."""
 
-    name = EvenMotion.name
+    name = UniformMotion.name
 
 
-Motion = EvenMotion | SuddenMotion
+FittedMotion = UniformMotion | SuddenMotion
+"""Motion of a station that an adjustment estimates: uniform, or sudden."""
 
 
-def by_runs(sightings: Sightings) -> Sightings:
+def with_equal_times_per_run(sightings: Sightings) -> Sightings:
     """Sightings in which consecutive pointings to one target have equal times."""
-    _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
+    _, run = np.unique(np.stack([sightings.station, sightings.seating_numbers]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
-def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
+def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
     """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
     first = 0
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
-        if isinstance(effect, Motion):
-            values, spread = adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
+        if isinstance(effect, FittedMotion):
+            values, spread = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
             parts = " and ".join(
-                _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
+                _length_text(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
             )
             moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
-                order = sightings.order[effect.mask(sightings)[sightings.order] > 0]
+                order = sightings.measurement_order[effect.row_weights(sightings)[sightings.measurement_order] > 0]
                 at = int(np.searchsorted(sightings.time[order], effect.time))
                 moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (
@@ -85,7 +86,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             )
 
 
-def _length(vector: Floats, covariance: Floats, unit: str) -> str:
+def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
     """Text of the length of a vector (3,) with its standard deviation."""
     length = float(np.linalg.norm(vector))
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)

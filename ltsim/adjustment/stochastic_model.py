@@ -10,37 +10,44 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import FAR
+from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.solve.design import median_deviation, weighted
+from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
-HUBER, CAUCHY = 2.0, 2.385
-"""Residuals, in robust standard deviations, above which Huber's weights decrease, and at which Cauchy's weights are one
-half; the efficiencies for normal residuals are 97 and 95 %.
-"""
-MANY = 0.02
+HUBER_LIMIT = 2.0
+"""Residual, in robust standard deviations, above which Huber's weights decrease; the efficiency for normal residuals is
+97 %."""
+CAUCHY_LIMIT = 2.385
+"""Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
+is 95 %."""
+MAX_FAR_FRACTION = 0.02
 """Fraction of readings with residuals above `FAR` declared standard deviations above which they are many."""
-STEPS = 25
+MAX_ROBUST_STEPS = 25
 """Reweightings at most, each with a linear step."""
-STILL = 1e-2
+ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the iteration has converged."""
 
 
-def observations(problem: NetworkProblem) -> int:
+def n_observation_rows(problem: NetworkProblem) -> int:
     """Number of rows that are observations (readings, then reference values); later rows are constraints and priors."""
-    return problem.level_rows.stop + len(problem.yaws)
+    return problem.level_row_slice.stop + len(problem.yaw_rows)
 
 
-def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
-    """State with robust weights of all observations, and the whitened residuals (m,) there; see `reweighted`."""
-    return reweighted(problem, state, observations(problem), least=1.0, steps=STEPS)
+def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkState, Floats]:
+    """State with robust weights of all observations, and the whitened residuals (m,) there.
+
+    See `iterate_reweighted`.
+    """
+    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
 
 
-def reweighted(problem: NetworkProblem, state: State, count: int, *, least: float, steps: int) -> tuple[State, Floats]:
+def iterate_reweighted(
+    problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
+) -> tuple[NetworkState, Floats]:
     """State by iteratively reweighted least squares, and the whitened residuals (m,) there.
 
     Huber's weights are used, which permit a poor start; if many residuals are then large, also Cauchy's, which retain a
@@ -50,81 +57,92 @@ def reweighted(problem: NetworkProblem, state: State, count: int, *, least: floa
     ----------
     problem : NetworkProblem
     state : State
-    count : int
+    n_observations : int
         Number of rows (the first ones) that are reweighted.
-    least : float
+    min_scale : float
         Lower bound of the robust standard deviation of the whitened residuals.
-    steps : int
+    max_steps : int
         Largest number of steps.
     """
-    search, reading = partial(_searched, problem, state, count, least, steps), int(problem.use.sum())
+    search, reading = (
+        partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
+        int(problem.used_readings.sum()),
+    )
     ends = [search(huber_weights)]
     if are_many_far(ends[0][1][:reading]):
         ends.append(search(cauchy_weights))
-    return ends[better_end([residual[:reading] for _, residual in ends])]
+    return ends[best_end_index([residual[:reading] for _, residual in ends])]
 
 
-def are_many_far(whitened: Floats) -> bool:
+def are_many_far(whitened_residuals: Floats) -> bool:
     """True if more whitened residuals (m,) are large than single errors of a recording can explain."""
-    return bool(np.mean(np.abs(whitened) > FAR) > MANY)
+    return bool(np.mean(np.abs(whitened_residuals) > MIN_FAR_RESIDUAL) > MAX_FAR_FRACTION)
 
 
-def better_end(ends: Sequence[Floats]) -> int:
+def best_end_index(residuals_of_ends: Sequence[Floats]) -> int:
     """Index of the whitened residuals (m,) with the smallest Cauchy objective at a common scale."""
-    scale = max(min(median_deviation(whitened) for whitened in ends), 1.0)
-    return int(np.argmin([np.sum(np.log1p((whitened / (CAUCHY * scale)) ** 2)) for whitened in ends]))
+    scale = max(min(robust_sigma(whitened) for whitened in residuals_of_ends), 1.0)
+    return int(
+        np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_ends])
+    )
 
 
-def huber_weights(size: Floats) -> Floats:
+def huber_weights(normalised_residuals: Floats) -> Floats:
     """Huber's weights (1964) of residuals in robust standard deviations."""
-    return 1.0 / np.maximum(size / HUBER, 1.0)
+    return 1.0 / np.maximum(normalised_residuals / HUBER_LIMIT, 1.0)
 
 
-def cauchy_weights(size: Floats) -> Floats:
+def cauchy_weights(normalised_residuals: Floats) -> Floats:
     """Cauchy's weights (Holland and Welsch 1977) of residuals in robust standard deviations."""
-    return 1.0 / (1.0 + (size / CAUCHY) ** 2)
+    return 1.0 / (1.0 + (normalised_residuals / CAUCHY_LIMIT) ** 2)
 
 
-def _searched(
-    problem: NetworkProblem, state: State, count: int, least: float, steps: int, weights: Callable[[Floats], Floats]
-) -> tuple[State, Floats]:
+def _iterate_weights(
+    problem: NetworkProblem,
+    state: NetworkState,
+    n_observations: int,
+    min_scale: float,
+    max_steps: int,
+    weight_function: Callable[[Floats], Floats],
+) -> tuple[NetworkState, Floats]:
     """State with one kind of weights, and the whitened residuals (m,).
 
     The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
     (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
-    reading, scale = int(problem.use.sum()), np.inf
-    for _ in range(steps):
+    reading, scale = int(problem.used_readings.sum()), np.inf
+    for _ in range(max_steps):
         system = problem.linearise(state)
-        scale = min(scale, max(median_deviation(system.residual[:reading]), least))
-        root = np.ones(len(system.residual))
-        root[:count] = np.sqrt(weights(np.abs(system.residual[:count]) / scale))
-        design = weighted(system.design, root)
+        scale = min(scale, max(robust_sigma(system.whitened_residuals[:reading]), min_scale))
+        root = np.ones(len(system.whitened_residuals))
+        root[:n_observations] = np.sqrt(weight_function(np.abs(system.whitened_residuals[:n_observations]) / scale))
+        design = weight_rows(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(design, system.residual * root, system.n_reduced)).step()
+            step = BlockFactor(BlockSystem(design, system.whitened_residuals * root, system.n_reduced)).step()
         except SingularSystemError:
             break
         state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
         del system, design  # before the next ones take as much memory
-        if length < STILL:
+        if length < ROBUST_TOLERANCE:
             break
-    return state, problem.residual(state)
+    return state, problem.whitened_residuals(state)
 
 
-Grouping = Literal["observable", "instrument"]
-CLOSE = 2e-3
+NoiseGrouping = Literal["observable", "instrument"]
+"""Groups of readings with separate noise: by observable, or also by instrument."""
+VARIANCE_FACTOR_TOLERANCE = 2e-3
 """Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
 readings."""
-PASSES = 30
+MAX_VARIANCE_ESTIMATES = 30
 """Estimates of the variance factors at most, for given outliers."""
-ROUNDS = 6
+MAX_OUTLIER_ESTIMATES = 6
 """Estimates of outliers at most, for given variance factors: they alternate on the edge."""
-LEAST = 3.0
+MIN_GROUP_REDUNDANCY = 3.0
 """Redundancy below which a group keeps its declared noise."""
 
 
 @dataclass(frozen=True)
-class Component:
+class VarianceComponent:
     """Variance component: noise of one group of readings."""
 
     observable: str
@@ -133,23 +151,23 @@ class Component:
     """Name of the instrument; '' if all instruments are one group."""
     factor: float
     """Factor on the declared standard deviations."""
-    sigma: float
+    factor_sigma: float
     """Standard deviation of `factor`; infinite if it could not be estimated."""
     redundancy: float
     """Sum of the redundancy numbers of the group's readings."""
 
 
-def estimated_components(
+def estimate_variance_components(
     problem: NetworkProblem,
-    solution: Solution[State],
-    grouping: Grouping,
-    find: Callable[[NetworkProblem, State], tuple[NetworkProblem, Solution[State]]],
-    use: Bools | None = None,
-) -> tuple[NetworkProblem, Solution[State], tuple[Component, ...]]:
+    solution: Solution[NetworkState],
+    grouping: NoiseGrouping,
+    reject_outliers: Callable[[NetworkProblem, NetworkState], tuple[NetworkProblem, Solution[NetworkState]]],
+    reading_mask: Bools | None = None,
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
     """Problem with standard deviations scaled by group until each agrees with its residuals; its solution.
 
-    `find` solves a problem and may reject readings; it gets all readings of `use` (n, 3) again with the new noise,
-    until the rejected ones do not change.
+    `reject_outliers` solves a problem and may reject readings; it gets all readings of `reading_mask` (n, 3) again with
+    the new noise, until the rejected ones do not change.
 
     References
     ----------
@@ -161,42 +179,50 @@ def estimated_components(
     group = np.arange(3) + 3 * several * recording.instrument[:, None]
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
-    declared, available = problem, problem.use if use is None else use
-    for _ in range(ROUNDS):
-        for _ in range(PASSES):
+    declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
+    for _ in range(MAX_OUTLIER_ESTIMATES):
+        for _ in range(MAX_VARIANCE_ESTIMATES):
             if solution.factor is None:
                 return problem, solution, ()
-            square, redundancy = _sums(problem, solution, group, len(factor))
-            enough = redundancy > LEAST
+            square, redundancy = _sums_by_group(problem, solution, group, len(factor))
+            enough = redundancy > MIN_GROUP_REDUNDANCY
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
             factor = factor * np.maximum(change, 0.1)
-            problem = _scaled(declared, factor, group, problem.use)
+            problem = _scale_sigmas(declared, factor, group, problem.used_readings)
             solution = solve(problem, solution.x)
-            if np.max(np.abs(change - 1.0)) < CLOSE:
+            if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
-        before = problem.use
-        problem, solution = find(_scaled(declared, factor, group, available), solution.x)
-        if np.array_equal(problem.use, before):
+        before = problem.used_readings
+        problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
+        if np.array_equal(problem.used_readings, before):
             break
-    sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
+    sigma = np.where(
+        redundancy > MIN_GROUP_REDUNDANCY, factor / np.sqrt(2 * np.maximum(redundancy, MIN_GROUP_REDUNDANCY)), np.inf
+    )
     kinds = [(observable, name) for name in names for observable in OBSERVABLES]
-    kinds += [("level", "")] if len(problem.levels) else []
+    kinds += [("level", "")] if len(problem.level_rows) else []
     rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
-    return problem, solution, tuple(Component(*kind, *numbers) for kind, *numbers in rows)
+    return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _scaled(declared: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
+def _scale_sigmas(declared: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
     """Problem with other standard deviations: a factor for each group, the last for the levels."""
-    levels = replace(declared.levels, sigma=declared.levels.sigma * factor[-1])
-    return replace(declared, sigma=declared.sigma * factor[group], levels=levels, use=use)
+    levels = replace(declared.level_rows, sigma=declared.level_rows.sigma * factor[-1])
+    return replace(
+        declared, sigma=declared.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask
+    )
 
 
-def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
+def _sums_by_group(
+    problem: NetworkProblem, solution: Solution[NetworkState], group_indices: Ints, n_groups: int
+) -> tuple[Floats, Floats]:
     """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are last."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
-    residual = problem.residual(solution.x)
-    readings, rows = slice(0, int(problem.use.sum())), problem.level_rows
-    square, redundancy = (np.bincount(group[problem.use], values[readings], count) for values in (residual**2, share))
+    residual = problem.whitened_residuals(solution.x)
+    readings, rows = slice(0, int(problem.used_readings.sum())), problem.level_row_slice
+    square, redundancy = (
+        np.bincount(group_indices[problem.used_readings], values[readings], n_groups) for values in (residual**2, share)
+    )
     square[-1], redundancy[-1] = float(np.sum(residual[rows] ** 2)), float(np.sum(share[rows]))
     return square.astype(np.float64), redundancy.astype(np.float64)

@@ -9,47 +9,50 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, Marks, YawRows
+from ltsim.adjustment.marks import StationMarks
+from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, YawRows
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class UnknownColumns:
     """Columns of the design: poses, reduced targets, instrument parameters, additional effects; then the other targets.
 
     Set-ups over one mark share the columns of their position, also with the target at that mark.
     """
 
-    pose: Ints
+    pose_columns: Ints
     """Columns of translation and rotation of each station, (S, 6)."""
-    target: Ints
+    target_columns: Ints
     """Columns of each target, (T, 3): targets of reference lengths and differences and those under a set-up are reduced
     unknowns, all others are eliminated block by block.
     """
-    instrument: Ints
+    instrument_columns: Ints
     """Columns of the instrument parameters, (I, p)."""
-    extra: Ints
+    extra_columns: Ints
     """Columns of the additional effects' parameters, (q,)."""
     n_reduced: int
     """Number K of reduced columns."""
-    size: int
+    n_columns: int
     """Number of all columns."""
 
     @property
-    def places(self) -> Ints:
+    def place_columns(self) -> Ints:
         """Columns of the places of targets and set-ups, (T + S + 1, 3).
 
         Those of the origin, the last, have no meaning.
         """
-        return np.concatenate([self.target, self.pose[:, :3], self.pose[:1, :3]])
+        return np.concatenate([self.target_columns, self.pose_columns[:, :3], self.pose_columns[:1, :3]])
 
     @classmethod
-    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks, differences: DifferenceRows) -> Unknowns:
+    def from_model(
+        cls, model: MeasurementModel, gauge: GaugeRows, marks: StationMarks, differences: DifferenceRows
+    ) -> UnknownColumns:
         """Columns of the unknowns of a model."""
-        recording, over = model.recording, marks.target >= 0
+        recording, over = model.recording, marks.target_indices >= 0
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
 
@@ -59,22 +62,27 @@ class Unknowns:
             return np.arange(first, size).reshape(rows, width)
 
         has_columns = np.ones((stations, 6), dtype=bool)
-        has_columns[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
+        has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]
         keep = np.zeros(targets, dtype=bool)
         difference_ends = differences.ends[differences.ends < targets]
-        keep[np.concatenate([gauge.first, gauge.second, marks.target[over], difference_ends])] = True
+        keep[
+            np.concatenate([gauge.first_targets, gauge.second_targets, marks.target_indices[over], difference_ends])
+        ] = True
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
         pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
         target[keep] = fresh(int(keep.sum()), 3)
-        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
+        instrument, extra = (
+            fresh(len(recording.instruments), model.construction.n_parameters),
+            fresh(1, model.n_extra_parameters)[0],
+        )
         n_reduced = size
         target[~keep] = fresh(int((~keep).sum()), 3)
-        pose[over, :3] = target[marks.target[over]]
-        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
+        pose[over, :3] = target[marks.target_indices[over]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first_setup_on_mark, :3], pose[:, :3])
         return cls(pose, target, instrument, extra, n_reduced, size)
 
 
-UPRIGHT = 1.0 - 1e-8
+MIN_COS_PLUMB_INCLINATION = 1.0 - 1e-8
 """Cosine of the inclination up to which a plumb line counts as parallel to that of the network (0.14 mrad, 900 m on the
 earth).
 """
@@ -85,42 +93,59 @@ class NetworkRows:
     """Readings in use, reference values, and the unknowns of both."""
 
     model: MeasurementModel
-    use: Bools
+    """Forward model of the readings."""
+    used_readings: Bools
     """Flags of the readings in use, (n, 3)."""
-    gauge: GaugeRows
-    control: ControlRows
-    levels: LevelRows
-    yaws: YawRows
-    marks: Marks
-    mark_control: ControlRows
-    differences: DifferenceRows
-    unknowns: Unknowns
+    gauge_rows: GaugeRows
+    """Rows of the reference lengths."""
+    control_rows: ControlRows
+    """Rows of the targets with known coordinates."""
+    level_rows: LevelRows
+    """Rows of the levelled stations."""
+    yaw_rows: YawRows
+    """Rows of the stations with known azimuth zero."""
+    marks: StationMarks
+    """Marks under the set-ups."""
+    mark_control_rows: ControlRows
+    """Rows of the known marks under stations."""
+    difference_rows: DifferenceRows
+    """Rows of the known differences."""
+    unknowns: UnknownColumns
+    """Columns of the unknowns."""
 
     @cached_property
-    def structure(self) -> Structure:
+    def structure(self) -> UndeterminedUnknowns:
         """Unknowns that these readings and the set-up leave undetermined."""
-        return Structure.of(self)
+        return UndeterminedUnknowns.from_rows(self)
 
     @property
-    def knows_nothing(self) -> bool:
+    def has_no_references(self) -> bool:
         """True if the network contains no reference length, point, difference, level or known azimuth zero."""
-        references = self.gauge, self.control, self.mark_control, self.differences, self.levels, self.yaws
+        references = (
+            self.gauge_rows,
+            self.control_rows,
+            self.mark_control_rows,
+            self.difference_rows,
+            self.level_rows,
+            self.yaw_rows,
+        )
         return not any(len(rows) for rows in references)
 
 
 @dataclass(frozen=True)
-class Structure:
+class UndeterminedUnknowns:
     """Unknowns that no used reading determines for any geometry; they are fixed at their present values."""
 
-    unknowns: Unknowns
-    yaw: Ints
-    tilt: Ints
+    unknowns: UnknownColumns
+    yaw_free_stations: Ints
+    """Stations whose rotation about the vertical is undetermined."""
+    tilt_free_stations: Ints
     """Stations without azimuths, and stations without any angle or level."""
-    height: Ints
+    height_free_stations: Ints
     """Levelled stations with azimuths and horizontal distances only."""
     unread_stations: Ints
     """Stations without any reading."""
-    unseen: Bools
+    is_unmeasured_target: Bools
     """Flags of the targets without a used reading, known coordinates or a set-up on them, (T,)."""
     height_free_targets: Bools
     """Flags of the targets connected to levelled set-ups by horizontal directions and distances only, (T,): their
@@ -130,108 +155,139 @@ class Structure:
     """Stations whose yaw is determined by readings."""
     constraints_on_unseen: int
     """Number of known coordinates of unmeasured targets, which check nothing."""
-    scale: Ints
+    scale_target: Ints
     """Target (one or none) whose distance from the first station the datum fixes, if directions leave the scale
     undetermined and approximate coordinates define it.
     """
-    in_plan: bool
+    fixes_heights: bool
     """True if the datum fixes all heights, so that a vertical translation is no datum defect."""
 
     @classmethod
-    def of(cls, network: NetworkRows) -> Structure:
+    def from_rows(cls, network: NetworkRows) -> UndeterminedUnknowns:
         """Structure of a network, from the kinds of its readings."""
-        recording, use, marks, levels = network.model.recording, network.use, network.marks, network.levels
+        recording, use, marks, levels = (
+            network.model.recording,
+            network.used_readings,
+            network.marks,
+            network.level_rows,
+        )
         count = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
         high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
         feels = np.bincount(recording.station, high, count) > 0
-        level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
-        level[levels.station] = True
-        alone[network.mark_control.target] = False
+        level, alone = (
+            np.zeros(count, dtype=bool),
+            (marks.first_setup_on_mark == np.arange(count)) & (marks.target_indices < 0),
+        )
+        level[levels.station_indices] = True
+        alone[network.mark_control_rows.place_indices] = False
         height = alone & azimuth & ~feels & level
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        is_read[network.control.target[network.control.axes.all(axis=1)]] = True
-        is_read[marks.target[marks.target >= 0]] = True
+        is_read[network.control_rows.place_indices[network.control_rows.declared_components.all(axis=1)]] = True
+        is_read[marks.target_indices[marks.target_indices >= 0]] = True
         upright = np.zeros(count, dtype=bool)
-        upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
-        on = marks.target >= 0
+        upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
+        on = marks.target_indices >= 0
         flat = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        flat[marks.target[on & azimuth]] = True
+        flat[marks.target_indices[on & azimuth]] = True
         flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
-        flat[marks.target[on & (feels | ~upright)]] = False
-        flat[network.control.target[network.control.axes[:, 2]]] = False
-        flat[np.concatenate([network.gauge.first, network.gauge.second])] = False
-        height_free = network.differences.height_free(np.concatenate([flat, height, [False]]))
-        has_height = np.concatenate([network.control.axes[:, 2], network.mark_control.axes[:, 2]])
-        stands = np.where(marks.target >= 0, height_free[marks.target], height_free[len(flat) : -1])
+        flat[marks.target_indices[on & (feels | ~upright)]] = False
+        flat[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
+        flat[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
+        height_free = network.difference_rows.undetermined_heights(np.concatenate([flat, height, [False]]))
+        has_height = np.concatenate(
+            [network.control_rows.declared_components[:, 2], network.mark_control_rows.declared_components[:, 2]]
+        )
+        stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(flat) : -1])
         return cls(
-            constraints_on_unseen=int(network.control.axes[~is_read[network.control.target]].sum()),
+            constraints_on_unseen=int(
+                network.control_rows.declared_components[~is_read[network.control_rows.place_indices]].sum()
+            ),
             unknowns=network.unknowns,
-            yaw=np.flatnonzero(~azimuth),
-            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height=np.flatnonzero(height_free[len(flat) : -1]),
+            yaw_free_stations=np.flatnonzero(~azimuth),
+            tilt_free_stations=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height_free_stations=np.flatnonzero(height_free[len(flat) : -1]),
             unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
-            unseen=~is_read,
+            is_unmeasured_target=~is_read,
             height_free_targets=height_free[: len(flat)],
             oriented_stations=np.flatnonzero(azimuth),
-            scale=_scale_target(network) if _takes_scale(network) else np.zeros(0, dtype=np.int64),
-            in_plan=bool(stands.all() and (height_free[: len(flat)] | ~is_read).all() and not has_height.any()),
+            scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
+            fixes_heights=bool(stands.all() and (height_free[: len(flat)] | ~is_read).all() and not has_height.any()),
         )
 
     @property
-    def held_columns(self) -> Ints:
+    def fixed_columns(self) -> Ints:
         """Columns (h, 3) of each row that fixes an unknown."""
         unknowns = self.unknowns
-        single = [unknowns.target[self.unseen], unknowns.pose[self.unread_stations, :3]]
-        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.height_free_targets, 2:3]]
-        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
-        rows.append(unknowns.target[self.scale])
+        single = [unknowns.target_columns[self.is_unmeasured_target], unknowns.pose_columns[self.unread_stations, :3]]
+        single += [
+            unknowns.pose_columns[self.height_free_stations, 2:3],
+            unknowns.target_columns[self.height_free_targets, 2:3],
+        ]
+        rows = [
+            unknowns.pose_columns[self.yaw_free_stations, 3:],
+            np.repeat(unknowns.pose_columns[self.tilt_free_stations, 3:], 2, axis=0),
+        ]
+        rows.append(unknowns.target_columns[self.scale_target])
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
-    def held_directions(self, state: State) -> Floats:
+    def fixed_directions(self, state: NetworkState) -> Floats:
         """Directions (h, 3) in these columns."""
-        yaw = state.rotation[self.yaw] @ VERTICAL
-        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
-        arm = state.points[self.scale] - state.position[self.oriented_stations[: len(self.scale)]]
+        yaw = state.station_rotations[self.yaw_free_stations] @ VERTICAL
+        tilt = np.swapaxes(state.station_rotations[self.tilt_free_stations], 1, 2)[:, :2].reshape(-1, 3)
+        arm = (
+            state.target_points[self.scale_target]
+            - state.station_positions[self.oriented_stations[: len(self.scale_target)]]
+        )
         away = arm / np.linalg.norm(arm, axis=1, keepdims=True)
-        single = np.zeros((self.held - len(yaw) - len(tilt) - len(away), 3))
+        single = np.zeros((self.n_fixed - len(yaw) - len(tilt) - len(away), 3))
         single[:, 0] = 1.0
         return np.concatenate([yaw, tilt, away, single])
 
     @property
-    def held_poses(self) -> Bools:
+    def fixed_pose_components(self) -> Bools:
         """Flags (S, 6) of the fixed components of poses; all three rotations if the yaw is undetermined."""
-        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
-        held[self.yaw, 3:] = True
-        held[self.tilt, 3:] = True
-        held[self.height, 2] = True
+        held = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
+        held[self.yaw_free_stations, 3:] = True
+        held[self.tilt_free_stations, 3:] = True
+        held[self.height_free_stations, 2] = True
         held[self.unread_stations, :3] = True
         return held
 
     @property
-    def held(self) -> int:
+    def n_fixed(self) -> int:
         """Number h of fixed unknowns."""
         counted = (
-            len(self.yaw) + 2 * len(self.tilt) + len(self.scale) + len(self.height) + 3 * len(self.unread_stations)
+            len(self.yaw_free_stations)
+            + 2 * len(self.tilt_free_stations)
+            + len(self.scale_target)
+            + len(self.height_free_stations)
+            + 3 * len(self.unread_stations)
         )
-        return counted + int(self.height_free_targets.sum()) + 3 * int(self.unseen.sum())
+        return counted + int(self.height_free_targets.sum()) + 3 * int(self.is_unmeasured_target.sum())
 
     @property
-    def anchors(self) -> Ints:
+    def datum_stations(self) -> Ints:
         """Stations of the datum rows: the first one with determined yaw, or all if there is none (distances alone)."""
-        return self.oriented_stations[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
+        return self.oriented_stations[:1] if self.fixes_datum_rotations else np.arange(len(self.unknowns.pose_columns))
 
     @property
-    def anchors_turn(self) -> bool:
+    def fixes_datum_rotations(self) -> bool:
         """True if the datum rows also fix the rotations of the anchors."""
         return len(self.oriented_stations) > 0
 
 
-def _takes_scale(network: NetworkRows) -> bool:
+def _has_approximate_scale(network: NetworkRows) -> bool:
     """True if the scale follows from approximate coordinates, and not from measurements or reference values."""
-    use, recording, control_axes = network.use, network.model.recording, network.control.axes
+    use, recording, control_axes = (
+        network.used_readings,
+        network.model.recording,
+        network.control_rows.declared_components,
+    )
     high = use[:, 2].any()
-    has_scale = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.mark_control)
+    has_scale = (
+        use[:, 0].any() or len(network.gauge_rows) or len(network.difference_rows) or len(network.mark_control_rows)
+    )
     if (
         has_scale
         or control_axes[:, : 3 if high else 2].any()
@@ -244,29 +300,33 @@ def _takes_scale(network: NetworkRows) -> bool:
 
 def _scale_target(network: NetworkRows) -> Ints:
     """Target (1,) with an azimuth from the first station that has azimuths."""
-    recording, rows = network.model.recording, np.flatnonzero(network.use[:, 1])
+    recording, rows = network.model.recording, np.flatnonzero(network.used_readings[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first]
 
 
-P = ParamSpec("P")
-R = TypeVar("R")
+DecoratedParameters = ParamSpec("DecoratedParameters")
+DecoratedReturn = TypeVar("DecoratedReturn")
 
 
-def refusing_singular(function: Callable[Concatenate[Recording, P], R]) -> Callable[Concatenate[Recording, P], R]:
+def raise_for_singular_network(
+    function: Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn],
+) -> Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn]:
     """Decorator for functions of a recording that raises NetworkError for matrices that are unexpectedly singular."""
 
     @wraps(function)
-    def refusing(recording: Recording, /, *args: P.args, **kwargs: P.kwargs) -> R:
+    def refusing(
+        recording: Recording, /, *args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs
+    ) -> DecoratedReturn:
         try:
             return function(recording, *args, **kwargs)
         except np.linalg.LinAlgError:
-            raise NetworkError(_sentence(recording)) from None
+            raise NetworkError(_sparsest_measurement_sentence(recording)) from None
 
     return refusing
 
 
-def _sentence(recording: Recording) -> str:
+def _sparsest_measurement_sentence(recording: Recording) -> str:
     """Sentence on the station and target of a network with the fewest readings."""
     count = recording.measured.sum(axis=1)
     stations = np.bincount(recording.station, count, len(recording.stations))

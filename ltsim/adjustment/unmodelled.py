@@ -8,107 +8,117 @@ is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use th
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.core.arrays import AT_ONCE, Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.units import PPM
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.physics.effects.air import air_errors, turbulence_variance
-from ltsim.physics.effects.rays import bending
-from ltsim.recordings.air import Air
-from ltsim.solve.design import PIECE, Design, weighted
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
+from ltsim.physics.effects.rays import relative_index_change_per_kelvin
+from ltsim.recordings.air import AirUncertainty
+from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, weight_rows
 
-TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the air", "turbulence"
+TEMPERATURE_ERROR = "temperature of the air"
+"""Name of the error of the air's temperature in a budget."""
+GRADIENT_ERROR = "gradient of the air"
+"""Name of the error of the air's vertical gradient in a budget."""
+TURBULENCE_ERROR = "turbulence"
+"""Name of the error by turbulence in a budget."""
 
 
-def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:
+def displacement_per_row(adjustment: Adjustment, columns: Ints) -> Floats:
     """Displacement (m, k) of unknowns `columns` (k,) per unit of each whitened row of the adjustment."""
     return np.asarray(adjustment.solution.system.design @ _covariance_columns(adjustment, columns))
 
 
 def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
     """Covariance (u, k) of all unknowns with `columns` (k,), in the datum of the adjustment."""
-    unit = np.zeros((adjustment.problem.unknowns.size, len(columns)))
+    unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    spread = adjustment.factor.covariance_columns(unit)
+    spread = adjustment.factorised_normals.covariance_columns(unit)
     if adjustment.datum is not None:
-        spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
+        spread = spread - adjustment.datum.transformation @ adjustment.datum.free_motions[columns].T
     return np.asarray(spread)
 
 
-def counted_air(adjustment: Adjustment, air: Air | None = None) -> Air | None:
+def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
     """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
-    chosen = air or adjustment.recording.setup.air or Air()
-    used = adjustment.problem.use.any(axis=1)
-    return chosen if chosen.counts(longest_sight(adjustment)) and used.any() else None
+    chosen = air or adjustment.recording.setup.air or AirUncertainty()
+    used = adjustment.problem.used_readings.any(axis=1)
+    return chosen if chosen.is_relevant(longest_range(adjustment)) and used.any() else None
 
 
-def longest_sight(adjustment: Adjustment) -> float:
+def longest_range(adjustment: Adjustment) -> float:
     """Longest range [m] of a reading in use."""
-    return float(np.max(adjustment.sightings.range_, where=adjustment.problem.use.any(axis=1), initial=0.0))
+    return float(np.max(adjustment.sightings.range_, where=adjustment.problem.used_readings.any(axis=1), initial=0.0))
 
 
-def air_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
+def displacements_by_air(
+    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+) -> dict[str, Floats]:
     """Displacements (k, q) of unknowns by the air, by cause, with one column per standard deviation of a variate.
 
-    Each station has a temperature and a gradient, each reading a turbulence. `reach` (m, k) belongs to these unknowns.
+    Each station has a temperature and a gradient, each reading a turbulence. `displacement_per_row` (m, k) belongs to
+    these unknowns.
     """
-    readings = reach[: int(adjustment.problem.use.sum())].T
-    common, station = _common_shifts(adjustment, air)
+    readings = displacement_per_row[: int(adjustment.problem.used_readings.sum())].T
+    common, station = _temperature_and_gradient_shifts(adjustment, air)
     by_station = [
         np.stack([readings[:, station == s] @ shift[station == s] for s in np.unique(station)], axis=-1)
         for shift in common
     ]
-    responses = dict(zip((TEMPERATURE, GRADIENT), by_station, strict=True))
-    responses[TURBULENCE] = readings * _turbulence_shifts(adjustment, air)
+    responses = dict(zip((TEMPERATURE_ERROR, GRADIENT_ERROR), by_station, strict=True))
+    responses[TURBULENCE_ERROR] = readings * _turbulence_shifts(adjustment, air)
     return {name: response for name, response in responses.items() if np.any(response)}
 
 
-def _common_shifts(adjustment: Adjustment, air: Air) -> tuple[Floats, Ints]:
+def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
     """Shifts (2, r) of the readings in use by the temperature and the gradient of a station, and their stations (r,).
 
     One standard deviation of each; shifts are in standard deviations of the readings.
     """
-    rows, columns = np.nonzero(adjustment.problem.use)
-    errors = air_errors(air, adjustment.sightings)[rows, columns]
+    rows, columns = np.nonzero(adjustment.problem.used_readings)
+    errors = reading_changes_per_sigma(air, adjustment.sightings)[rows, columns]
     return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 
-def _turbulence_shifts(adjustment: Adjustment, air: Air) -> Floats:
+def _turbulence_shifts(adjustment: Adjustment, air: AirUncertainty) -> Floats:
     """Standard deviation (r,) of the readings in use by turbulence, in standard deviations of these readings."""
-    rows, columns = np.nonzero(adjustment.problem.use)
+    rows, columns = np.nonzero(adjustment.problem.used_readings)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
     return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
 
 
-def shared_air_errors(air: Air) -> tuple[str, str]:
+def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
     """Names of the errors of the air that all stations share.
 
     Poses and targets absorb them, so that residuals do not show them.
     """
-    scale = air.temperature_k * bending() / PPM
+    scale = air.temperature_k * relative_index_change_per_kelvin() / PPM
     return (
         f"air {air.temperature_k:g} K warmer at all stations than its thermometer (scale {scale:.2g} ppm)",
         f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",
     )
 
 
-def common_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
+def displacements_by_shared_air(
+    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+) -> dict[str, Floats]:
     """Displacements (k,) of unknowns by one standard deviation of each of the `shared_air_errors`."""
-    shifts, _ = _common_shifts(adjustment, air)
-    return dict(zip(shared_air_errors(air), shifts @ reach[: shifts.shape[1]], strict=True))
+    shifts, _ = _temperature_and_gradient_shifts(adjustment, air)
+    return dict(zip(shared_air_errors(air), shifts @ displacement_per_row[: shifts.shape[1]], strict=True))
 
 
-def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None) -> Floats:
+def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
     """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges.
 
     With C the covariance of the unknowns and S that of the shifts of the rows, it is C A' S A C: no matrix has the
     readings for rows and the sets for columns.
     """
-    counted, size = counted_air(adjustment, air), columns.shape[1]
+    counted, size = relevant_air(adjustment, air), columns.shape[1]
     added = np.zeros((*columns.shape, size))
     if counted is None:
         return added
-    unknowns, (common, turbulent) = adjustment.problem.unknowns.size, _air_normals(adjustment, counted)
-    step = max(1, AT_ONCE // (unknowns * size))
+    unknowns, (common, turbulent) = adjustment.problem.unknowns.n_columns, _air_right_hand_sides(adjustment, counted)
+    step = max(1, MAX_TEMPORARY_ENTRIES // (unknowns * size))
     for first in range(0, len(columns), step):
         batch = columns[first : first + step]
         spread = _covariance_columns(adjustment, batch.ravel())
@@ -121,39 +131,42 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None
     return added
 
 
-def _air_normals(adjustment: Adjustment, air: Air) -> tuple[Floats, Design]:
+def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
     """Right-hand sides (u, q) by the temperature and gradient of each station, and the matrix A' S A of turbulence."""
-    common, station = _common_shifts(adjustment, air)
+    common, station = _temperature_and_gradient_shifts(adjustment, air)
     turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
     stations, right, turbulent = np.unique(station), [], []
-    for first in range(0, len(station), PIECE):
-        piece = slice(first, first + PIECE)
+    for first in range(0, len(station), ROWS_PER_PIECE):
+        piece = slice(first, first + ROWS_PER_PIECE)
         mine = np.where(station[piece] == stations[:, None], common[:, None, piece], 0.0)
         right.append(design[piece].T @ mine.reshape(-1, mine.shape[2]).T)
-        scattered = weighted(design[piece], turbulence[piece])
+        scattered = weight_rows(design[piece], turbulence[piece])
         turbulent.append(scattered.T @ scattered)
     return np.asarray(sum(right)), sum(turbulent)
 
 
-def joint_air_covariance(adjustment: Adjustment, air: Air | None = None) -> Floats:
+def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
     """Covariance (3 T, 3 T) [m^2] of all targets due to the air; zero for short ranges."""
-    columns = adjustment.problem.unknowns.target.reshape(1, -1)
+    columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
 
-def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict[str, float]:
+def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = None) -> dict[str, float]:
     """Rms displacement [m] of the targets by each error of the air that all stations share, after the best rigid fit.
 
     It is for one standard deviation; readings do not show the errors, so that no adjustment reports them.
     """
-    chosen = air or adjustment.recording.setup.air or Air()
-    targets = np.flatnonzero(~adjustment.problem.structure.unseen & ~adjustment.open_heights)
-    columns, (shifts, _) = adjustment.problem.unknowns.target[targets].ravel(), _common_shifts(adjustment, chosen)
+    chosen = air or adjustment.recording.setup.air or AirUncertainty()
+    targets = np.flatnonzero(~adjustment.problem.structure.is_unmeasured_target & ~adjustment.undetermined_heights)
+    columns, (shifts, _) = (
+        adjustment.problem.unknowns.target_columns[targets].ravel(),
+        _temperature_and_gradient_shifts(adjustment, chosen),
+    )
     right = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
-    moved = adjustment.factor.covariance_columns(right)
+    moved = adjustment.factorised_normals.covariance_columns(right)
     if adjustment.datum is not None:
-        moved = moved - adjustment.datum.motion @ (adjustment.datum.carried.T @ right)
-    motion = rigid_motion(adjustment.state.points[targets])
+        moved = moved - adjustment.datum.free_motions @ (adjustment.datum.transformation.T @ right)
+    motion = rigid_motion_design(adjustment.state.target_points[targets])
     sizes = {}
     for name, response in zip(shared_air_errors(chosen), moved[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]

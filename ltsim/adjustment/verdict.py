@@ -7,13 +7,13 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.quality import warnings_of
-from ltsim.adjustment.reliability import FEW
+from ltsim.adjustment.quality import adjustment_warnings
+from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.significance import GLOBAL_LEVEL
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
-ONLY_A_FEW = 0.05
+MAX_SINGLE_ERROR_FRACTION = 0.05
 """Largest fraction of readings that are outliers at which they count as single errors and not as wrong noise."""
 
 
@@ -25,7 +25,7 @@ NOISE_KEYS = {
 """Keys of `[instrument.noise]` by observable."""
 
 
-class Agreement(Enum):
+class VerdictCase(Enum):
     """Agreement or disagreement of the tests."""
 
     CLEAN = "clean"
@@ -41,71 +41,71 @@ class Agreement(Enum):
 class Verdict:
     """Verdict on an adjustment: its case, the reasons, and the use of the estimated sigma0."""
 
-    case: Agreement
+    agreement: VerdictCase
     sentence: str
     """Sentence with the verdict and its reason."""
-    by_estimate: bool
+    uses_estimated_noise: bool
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
-def verdict(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
+def verdict_on(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
     """The verdict on an adjustment, by a global test at a two-sided `level`."""
-    judged, open_ = _by_tests(adjustment, level), warnings_of(adjustment)
+    judged, open_ = _verdict_from_tests(adjustment, level), adjustment_warnings(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
-    case = Agreement.IN_DOUBT if judged.case is Agreement.CLEAN else judged.case
-    return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
+    case = VerdictCase.IN_DOUBT if judged.agreement is VerdictCase.CLEAN else judged.agreement
+    return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
+def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
     """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
-        return Verdict(Agreement.UNCHECKED, sentence, False)
+        return Verdict(VerdictCase.UNCHECKED, sentence, False)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
-    outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
-    by_w, wrong = len(outliers), _readings(len(outliers))
+    outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
+    by_w, wrong = len(outliers), _reading_count_text(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(Agreement.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
+        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
     if low <= sigma0 <= high:
         sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
-        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
-    if sigma0 < low and dof < FEW:
+        return Verdict(VerdictCase.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
+    if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
             f"Trust the declared noise: {shown} is below that range, but few degrees of freedom support no other."
         )
-        return Verdict(Agreement.SMALLER_NOISE, sentence, False)
+        return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
             f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
-            f"the tau-test {_readings(by_tau)}. {noise_to_declare(adjustment, level)}"
+            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, level)}"
         )
-        return Verdict(Agreement.SMALLER_NOISE, sentence.rstrip(), True)
-    rest = chi2 - sum(o.w**2 for o in outliers)
+        return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
+    rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
-    if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
+    if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
         sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
-    if dof < FEW:
+        return Verdict(VerdictCase.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
+    if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
             f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
-        return Verdict(Agreement.LARGER_NOISE, sentence, True)
+        return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {shown}; {_reasons(adjustment)}, "
+        f"Trust the global test and the estimated sigma0: {shown}; {_rejection_reasons(adjustment)}, "
         f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
-        f"outliers at the observed noise level{_by_targets(adjustment)}."
+        f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
     )
-    return Verdict(Agreement.LARGER_NOISE, sentence, True)
+    return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
 
 
-def _reasons(adjustment: Adjustment) -> str:
+def _rejection_reasons(adjustment: Adjustment) -> str:
     """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated."""
-    if adjustment.construction.size or adjustment.recording.is_corrected:
+    if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return "the noise is larger than declared or a systematic effect is missing from the model"
     return (
         "the instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "
@@ -113,7 +113,7 @@ def _reasons(adjustment: Adjustment) -> str:
     )
 
 
-def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
+def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
     """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
     Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
@@ -122,10 +122,10 @@ def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
     for k, observable in enumerate(OBSERVABLES):
-        use = problem.use[:, k]
+        use = problem.used_readings[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
         square = float(np.sum(scaled[use, k] ** 2))
-        if redundancy < FEW or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
+        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
             continue
         factor = np.sqrt(square / redundancy)
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
@@ -142,7 +142,7 @@ def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str
     return " ".join(filter(None, sentences))
 
 
-def _by_targets(adjustment: Adjustment) -> str:
+def _noisy_targets_text(adjustment: Adjustment) -> str:
     """Text of the targets whose readings scatter far more than all others."""
     named, scatter, rest = adjustment.noisy_targets
     if not len(named):
@@ -151,7 +151,7 @@ def _by_targets(adjustment: Adjustment) -> str:
     return f"; readings to {names} scatter {scatter:.2g} times the declared noise, the others {rest:.2g} times"
 
 
-def _readings(count: int) -> str:
-    if not count:
+def _reading_count_text(n_readings: int) -> str:
+    if not n_readings:
         return "no reading is an outlier"
-    return "one reading is an outlier" if count == 1 else f"{count} readings are outliers"
+    return "one reading is an outlier" if n_readings == 1 else f"{n_readings} readings are outliers"

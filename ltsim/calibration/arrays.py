@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import FREED
-from ltsim.calibration.schema import RESIDUALS, SHOWN_UNITS, TARGETS, ParameterEntry
+from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR
+from ltsim.calibration.schema import DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
-from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction, with_parameters
-from ltsim.recordings.files import shown
+from ltsim.physics.model.construction import Construction, construction_for_parameters
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import OBSERVABLES
 
 
@@ -26,24 +26,26 @@ class CalibrationArrays(ValueEquality):
     """Parameters of I instruments with p parameters each, and T targets; SI units."""
 
     construction: Construction
+    """Construction whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""
-    values: Floats
+    estimates: Floats
     """Estimates, (I, p)."""
     prior_sigma: Floats
     """Prior standard deviations, (I, p)."""
     covariance: Floats
     """Covariance of the estimates, zero for fixed parameters, (I p, I p)."""
-    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    is_fixed: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
-    prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    is_prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """Flags (I, p) of the parameters whose prior the readings contradict, and whose estimate follows the readings."""
     applied_values: Floats | None = None
     """Parameters that are applied to readings, (I, p); None if these are the estimates."""
     null_space: Floats | None = field(default=None, repr=False)
     """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they remain zero."""
-    targets: tuple[str, ...] = ()
-    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    target_names: tuple[str, ...] = ()
+    """Names of the targets."""
+    target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Coordinates of the targets, (T, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Covariance of each target, (T, 3, 3) [m^2]."""
@@ -51,19 +53,19 @@ class CalibrationArrays(ValueEquality):
     """The adjusted network; None for a calibration that was read from a file."""
 
     def __post_init__(self) -> None:
-        for name in ("held", "prior_rejected"):
-            if getattr(self, name).shape != self.values.shape:
-                object.__setattr__(self, name, np.zeros(self.values.shape, dtype=bool))
+        for name in ("is_fixed", "is_prior_rejected"):
+            if getattr(self, name).shape != self.estimates.shape:
+                object.__setattr__(self, name, np.zeros(self.estimates.shape, dtype=bool))
 
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviations of the estimates, (I, p)."""
-        return np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+        return np.sqrt(np.diag(self.covariance)).reshape(self.estimates.shape)
 
     @property
-    def prior_used(self) -> Floats:
+    def effective_prior_sigma(self) -> Floats:
         """Standard deviations of the prior that the estimates had, (I, p)."""
-        return np.where(self.prior_rejected, FREED, 1.0) * self.prior_sigma
+        return np.where(self.is_prior_rejected, WIDENED_SIGMA_FACTOR, 1.0) * self.prior_sigma
 
     @property
     def bias_operator(self) -> Floats:
@@ -73,25 +75,25 @@ class CalibrationArrays(ValueEquality):
         unit = self.prior_sigma.ravel()
         return self.covariance / np.outer(unit, unit)
 
-    def part(self, instrument: int, keep: Ints) -> CalibrationArrays:
-        """Arrays of one instrument with the parameters `keep` (k,)."""
-        row, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
+    def for_instrument(self, instrument: int, parameter_mask: Ints) -> CalibrationArrays:
+        """Arrays of one instrument with the parameters `parameter_mask` (k,)."""
+        row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_mask
         return replace(
             self,
-            construction=self.construction.only(keep),
+            construction=self.construction.with_parameter_subset(parameter_mask),
             instruments=self.instruments[row],
-            values=self.values[row, keep],
-            prior_sigma=self.prior_sigma[row, keep],
+            estimates=self.estimates[row, parameter_mask],
+            prior_sigma=self.prior_sigma[row, parameter_mask],
             covariance=self.covariance[np.ix_(at, at)],
-            held=self.held[row, keep],
-            prior_rejected=self.prior_rejected[row, keep],
+            is_fixed=self.is_fixed[row, parameter_mask],
+            is_prior_rejected=self.is_prior_rejected[row, parameter_mask],
         )
 
 
-def arrays_from(
+def arrays_from_file_rows(
     construction: str, rows: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
 ) -> tuple[CalibrationArrays, list[str]]:
-    """Arrays of the parameters of a file, and the names of the parameters that it lacks.
+    """Arrays of the parameters in the rows of a file, and the names of the parameters that it lacks.
 
     A file without a covariance gets a diagonal one; missing parameters are zero with their prior sigma.
 
@@ -101,13 +103,13 @@ def arrays_from(
         One sentence: key, value, expected value.
     """
     try:
-        built = with_parameters(construction, [row.name for row in rows])
+        built = construction_for_parameters(construction, [row.name for row in rows])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
     instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
-    place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
-    at = _places(construction, rows, place, built.names, file)
-    factor = np.array([FACTOR[row.unit] for row in rows])
+    place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
+    at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
+    factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
 
     def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
         """The default [SI], replaced by the values of the file."""
@@ -124,39 +126,39 @@ def arrays_from(
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
     held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
-    shape = (len(instruments), built.size)
+    shape = (len(instruments), built.n_parameters)
     arrays = CalibrationArrays(
         construction=built,
         instruments=instruments,
-        values=values.reshape(shape),
+        estimates=values.reshape(shape),
         prior_sigma=prior.reshape(shape),
         covariance=merged,
-        held=held.reshape(shape),
-        prior_rejected=prior_rejected.reshape(shape),
+        is_fixed=held.reshape(shape),
+        is_prior_rejected=prior_rejected.reshape(shape),
         applied_values=None if np.array_equal(applied, values) else applied.reshape(shape),
     )
     return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at]
 
 
-def _places(
+def _flat_parameter_indices(
     construction: str,
     rows: Sequence[ParameterEntry],
-    place: dict[tuple[str, str], int],
+    location: dict[tuple[str, str], int],
     names: Sequence[str],
     file: object,
 ) -> list[int]:
     """Indices of the file's parameters among those of the instruments; names and units are checked."""
     at: list[int] = []
     for number, row in enumerate(rows, start=1):
-        if (row.instrument, row.name) not in place:
+        if (row.instrument, row.name) not in location:
             kind = f"parameter of construction {construction}"
-            raise RecordError(f"parameters: {unknown_name(kind, shown(row.name), names)}", file=file, row=number)
-        if row.unit not in FACTOR:
-            expected = f"expected one of {', '.join(FACTOR)}"
-            raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'; {expected}", file=file, row=number)
-        at.append(place[row.instrument, row.name])
+            raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
+        if row.unit not in SI_PER_UNIT:
+            expected = f"expected one of {', '.join(SI_PER_UNIT)}"
+            raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
+        at.append(location[row.instrument, row.name])
         if at[-1] in at[:-1]:
-            problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
+            problem = f"parameters: '{quoted_text(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
     return at
 
@@ -169,7 +171,7 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
     placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS.filled([names[i], *cells[i].tolist()] for i in placed)
+    return TARGETS_TABLE.filled([names[i], *cells[i].tolist()] for i in placed)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
@@ -177,9 +179,14 @@ def residuals_table(adjustment: Adjustment) -> Table:
     recording = adjustment.recording
 
     def row(i: int, k: int) -> list[object]:
-        unit, factor = SHOWN_UNITS[k]
+        unit, factor = DISPLAY_UNITS[k]
         names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
+        size = (
+            adjustment.residuals[i, k] / factor,
+            unit,
+            adjustment.redundancy[i, k],
+            adjustment.normalised_residuals[i, k],
+        )
         return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-    return RESIDUALS.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.use).tolist())
+    return RESIDUALS_TABLE.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())

@@ -12,25 +12,25 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_serializer, mode
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry
-from ltsim.adjustment.identification.tests import Test
-from ltsim.calibration.arrays import CalibrationArrays, arrays_from, residuals_table, targets_table
-from ltsim.calibration.combinations import Combination, DeterminedEntry
-from ltsim.calibration.evidence import by_plausible_sizes, determined, harmonics
+from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.calibration.arrays import CalibrationArrays, arrays_from_file_rows, residuals_table, targets_table
+from ltsim.calibration.combinations import DeterminedEntry, UndeterminedEntry
+from ltsim.calibration.evidence import determined_combinations, harmonic_entries, with_plausible_priors
 from ltsim.calibration.schema import (
-    NOISE,
-    OUTLIERS,
-    PARAMETERS,
-    REFERENCE_VALUES,
-    REFLECTORS,
-    STATIONS,
+    NOISE_TABLE,
+    OUTLIERS_TABLE,
+    PARAMETERS_TABLE,
+    REFERENCE_VALUES_TABLE,
+    REFLECTORS_TABLE,
+    STATIONS_TABLE,
     AxesEntry,
-    Correction,
-    Fit,
+    FitEntry,
     FittedEffectEntry,
     HarmonicEntry,
     NoiseRow,
     OutlierRow,
     ParameterEntry,
+    RecommendedCorrection,
     ReferenceValueEntry,
     ReflectorEntry,
     StationPose,
@@ -47,18 +47,19 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
-EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
-SHARPER = 0.975
-"""A parameter counts as better known than before if its sigma over its prior sigma is below this: the readings then
-removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
-SAME = 1e-9
-"""Smallest relative difference between `applied` and the estimate (or its sigma) that is written: above rounding."""
-MOSTLY = 0.9
-"""The global test is void if the noise of more than this share of the redundancy was estimated: chi-square over
-redundancy is then 1 by construction."""
+EntryType = TypeVar("EntryType", DeterminedEntry, HarmonicEntry)
+MAX_SIGMA_RATIO_DETERMINED = 0.975
+"""Ratio of sigma to prior sigma below which the readings determine a parameter: they then removed at least 5 % of the
+prior variance (0.975 squared is 0.95)."""
+MIN_RELATIVE_DIFFERENCE_APPLIED = 1e-9
+"""Smallest relative difference between `applied_values` and the estimate (or its sigma) that is written: above
+rounding."""
+MAX_ESTIMATED_NOISE_FRACTION = 0.9
+"""Fraction of the redundancy with estimated noise above which the global test is void: chi-square over redundancy is
+then 1 by construction."""
 
 
-DERIVED = frozenset(
+FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
@@ -66,7 +67,7 @@ DERIVED = frozenset(
 
 
 def _none_if_empty(value: Any) -> Any:
-    """The value itself, None for an empty table."""
+    """Input value, or None for an empty table."""
     return value or None
 
 
@@ -83,7 +84,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`; `adjustment` without parameters."""
     construction_name: str = Field(alias="construction")
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
-    fit: Fit = Fit()
+    fit: FitEntry = FitEntry()
     """Agreement of readings and model."""
     frame: str = ""
     """Frame of all coordinates."""
@@ -93,7 +94,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """Covariance of the parameters, in their order and units."""
     harmonics: tuple[HarmonicEntry, ...] = ()
     """Cosines and sines as amplitude and phase."""
-    undetermined: tuple[Combination, ...] = ()
+    undetermined: tuple[UndeterminedEntry, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
     """Combinations of parameters that the recording determines far better than each parameter."""
@@ -103,13 +104,13 @@ class Calibration(UncertaintyEntry, ResultFile):
     """Paper's criteria before and after calibration; null for a single station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
-    tests: tuple[Test, ...] = ()
+    tests: tuple[CauseTest, ...] = ()
     """Table of tests: simple causes that the readings support, and outliers; the basis of all statements on misfit."""
     robust: bool = False
     """True if outlying readings were excluded."""
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry per group."""
-    with_constants: Fit | None = None
+    with_constants: FitEntry | None = None
     """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
     noise_estimated: bool = False
     """True if the noise was estimated from the readings and used."""
@@ -121,7 +122,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
     """Standard deviations of the axes, if declared coordinates define them (`--frame`)."""
-    correction: Correction | None = None
+    correction: RecommendedCorrection | None = None
     """Correction that is worth applying; null if it was not requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects that were estimated with the parameters (`--with`)."""
@@ -147,20 +148,21 @@ class Calibration(UncertaintyEntry, ResultFile):
         return {} if criteria is None else criteria
 
     @classmethod
-    def of(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
+    def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
         """Calibration from its arrays and other fields."""
-        factors = np.tile([p.factor for p in arrays.construction.parameters], len(arrays.instruments))
+        factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
-        fields = {name: value for name, value in defaults.items() if name not in DERIVED} | fields
+        fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
         bayes = fields["method"] == "network" and not fields["history_prior"]
-        applied = arrays.values if fields["correction"] is None else arrays.applied_values
+        applied = arrays.estimates if fields["correction"] is None else arrays.applied_values
+        prior = with_plausible_priors if bayes else None
         derived = {
             "construction_name": arrays.construction.name,
-            "parameters": _parameters(arrays, arrays.values if applied is None else applied),
+            "parameters": _parameter_entries(arrays, arrays.estimates if applied is None else applied),
             "parameter_covariance": (arrays.covariance / np.outer(factors, factors)).tolist(),
-            "harmonics": _of_each(arrays, harmonics),
-            "determined": _of_each(arrays, determined, by_plausible_sizes if bayes else None),
-            "noise_estimated": _is_estimated(fields["noise"]),
+            "harmonics": _entries_per_instrument(arrays, harmonic_entries),
+            "determined": _entries_per_instrument(arrays, determined_combinations, prior),
+            "noise_estimated": _is_noise_estimated(fields["noise"]),
         }
         made = cls(**fields, **derived)
         made._arrays = arrays
@@ -170,12 +172,12 @@ class Calibration(UncertaintyEntry, ResultFile):
         """Copy of the calibration with other fields or arrays."""
         named = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in named})
-        return self._of(arrays, **changes)
+        return self._with_arrays_and_fields(arrays, **changes)
 
-    def _of(self, arrays: CalibrationArrays, **changes: Any) -> Self:
+    def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
         """Copy of the calibration with other arrays and fields."""
-        fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
-        return type(self).of(arrays, **{**fields, **changes})
+        fields = {name: getattr(self, name) for name in type(self).model_fields if name not in FIELDS_NOT_COPIED}
+        return type(self).from_arrays(arrays, **{**fields, **changes})
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
         """Copy of the calibration with the arrays of its parameters, and warnings for their application."""
@@ -187,7 +189,8 @@ class Calibration(UncertaintyEntry, ResultFile):
     def arrays(self) -> CalibrationArrays:
         """The parameters and the network as arrays in SI units; raises RecordError for a file that has wrong ones."""
         if self._arrays is None:
-            self._arrays, _ = arrays_from(self.construction_name, self.parameters, self.parameter_covariance, self.FILE)
+            covariance = self.parameter_covariance
+            self._arrays, _ = arrays_from_file_rows(self.construction_name, self.parameters, covariance, self.FILE)
         return self._arrays
 
     @property
@@ -206,14 +209,14 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.arrays.instruments
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def instrument_parameter_names(self) -> tuple[str, ...]:
         """Names (I p) of all parameters, with ``@instrument`` for several instruments."""
-        return self.construction.names_of(self.instruments)
+        return self.construction.instrument_parameter_names(self.instruments)
 
     @property
-    def values(self) -> Floats:
+    def estimates(self) -> Floats:
         """Estimates (I, p) [SI]."""
-        return self.arrays.values
+        return self.arrays.estimates
 
     @property
     def sigma(self) -> Floats:
@@ -231,19 +234,19 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.arrays.covariance
 
     @property
-    def held(self) -> Bools:
+    def is_fixed(self) -> Bools:
         """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
-        return self.arrays.held
+        return self.arrays.is_fixed
 
     @property
-    def targets(self) -> tuple[str, ...]:
+    def target_names(self) -> tuple[str, ...]:
         """Names of the targets; none for a calibration that was read from a file."""
-        return self.arrays.targets
+        return self.arrays.target_names
 
     @property
-    def points(self) -> Floats:
+    def target_points(self) -> Floats:
         """Coordinates (T, 3) of the targets [m]."""
-        return self.arrays.points
+        return self.arrays.target_points
 
     @property
     def target_covariance(self) -> Floats:
@@ -256,10 +259,10 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.arrays.adjustment
 
     @property
-    def applied(self) -> Floats:
+    def applied_values(self) -> Floats:
         """Parameters (I, p) [SI] that are removed from readings."""
         applied = self.arrays.applied_values
-        return self.values if self.correction is None or applied is None else applied
+        return self.estimates if self.correction is None or applied is None else applied
 
     @property
     def is_rejected(self) -> bool:
@@ -267,49 +270,49 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.uncertainty_factor > 1.0
 
     def _lines(self) -> list[str]:
-        fit, count = self.fit, len(self.names)
+        fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
         test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
-        sharper = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
-        lines = [
-            f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}",
-            f"{len(self.stations)} stations{f' and {len(self.targets)} targets' * bool(self.targets)} in {self.frame}",
-        ]
+        sharper = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
+        targets = f" and {len(self.target_names)} targets" if self.target_names else ""
+        lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
+        lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
-            held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
+            held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
             lines.append(f"{count} parameters{held}, {sharper} better known than before; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} outlying readings")
         if self.criteria is not None:
-            lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
+            lines.append(f"stations disagree in distances by {self.criteria.distance.text}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
-            lines += [*([] if self.is_rejected else [self.correction.line]), *self.correction.sentences]
+            lines += [*([] if self.is_rejected else [self.correction.error_text]), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
-            "parameters": lambda: PARAMETERS.filled(self.parameters),
-            "targets": lambda: targets_table(self.targets, self.points, self.target_covariance),
-            "stations": self._stations,
-            "outliers": lambda: OUTLIERS.filled(self.outliers),
-            "noise": lambda: NOISE.filled(self.noise),
-            "reference_values": lambda: REFERENCE_VALUES.filled(self.reference_values),
-            "reflectors": lambda: REFLECTORS.filled(
+            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
+            "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariance),
+            "stations": self._stations_table,
+            "outliers": lambda: OUTLIERS_TABLE.filled(self.outliers),
+            "noise": lambda: NOISE_TABLE.filled(self.noise),
+            "reference_values": lambda: REFERENCE_VALUES_TABLE.filled(self.reference_values),
+            "reflectors": lambda: REFLECTORS_TABLE.filled(
                 [entry.reflector, p.name, p.value, p.sigma] for entry in self.reflectors for p in entry.parameters
             ),
         }
         adjustment = self.adjustment
         if adjustment is not None:
             tables["residuals"] = lambda: residuals_table(adjustment)
-        return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
+        if not self.instrument_parameter_names:
+            del tables["parameters"]
+        return tables
 
-    def _stations(self) -> Table:
+    def _stations_table(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
-        return STATIONS.filled(
-            [s.name, *s.position_mm, *sigmas] for s, sigmas in zip(self.stations, sigma, strict=True)
-        )
+        rows = zip(self.stations, sigma, strict=True)
+        return STATIONS_TABLE.filled([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:
@@ -317,17 +320,17 @@ class Calibration(UncertaintyEntry, ResultFile):
 
         They are removed together with the instrument's parameters, or not at all.
         """
-        if not np.any(self.applied):
+        if not np.any(self.applied_values):
             return {}
         sizes = {entry.reflector: {p.name: p.value for p in entry.parameters} for entry in self.reflectors}
         return {
-            name: np.array([float(values.get(p.name, 0.0)) * p.factor for p in SmrIncidence.parameters])
+            name: np.array([float(values.get(p.name, 0.0)) * p.si_per_display_unit for p in SmrIncidence.parameters])
             for name, values in sizes.items()
         }
 
-    def part(self, instrument: int, keep: Ints) -> Self:
-        """Calibration of one instrument with the parameters `keep` (k,), without a correction."""
-        return self._of(self.arrays.part(instrument, keep), correction=None)
+    def for_instrument(self, instrument: int, parameter_mask: Ints) -> Self:
+        """Calibration of one instrument with the parameters `parameter_mask` (k,), without a correction."""
+        return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_mask), correction=None)
 
     def values_for(self, recording: Recording) -> Floats:
         """Parameters to apply to a recording, (p,), or (n, p) by pointing if instruments differ.
@@ -340,33 +343,31 @@ class Calibration(UncertaintyEntry, ResultFile):
             When the calibration holds no parameters of an instrument of the recording.
         """
         if len(self.instruments) == 1:
-            return self.applied[0]
+            return self.applied_values[0]
         unknown = [name for name in recording.instruments if name not in self.instruments]
         if unknown:
-            raise RecordError(
-                f"the recording's instrument '{unknown[0]}' is not among those of the calibration: "
-                + ", ".join(self.instruments)
-            )
+            names = ", ".join(self.instruments)
+            raise RecordError(f"instrument '{unknown[0]}' of the recording is not in the calibration ({names})")
         at = np.array([self.instruments.index(name) for name in recording.instruments])
-        return self.applied[at[recording.instrument]]
+        return self.applied_values[at[recording.instrument]]
 
 
-def _parameters(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in units of display; `applied` (I, p) [SI] only if it differs from the estimate."""
+def _parameter_entries(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
+    """Entries of the estimates in units of display, with the `applied` values (I, p) [SI] that differ from them."""
     several = len(arrays.instruments) > 1
     entries = []
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
-            value, sigma, factor = arrays.values[i, k], arrays.sigma[i, k], parameter.factor
-            differs = abs(applied[i, k] - value) > SAME * max(abs(value), sigma)
+            value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
+            differs = abs(applied[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
                 value=float(value / factor),
                 sigma=float(sigma / factor),
                 unit=parameter.unit,
                 prior_sigma=float(arrays.prior_sigma[i, k] / factor),
-                held=bool(arrays.held[i, k]),
-                prior_rejected=bool(arrays.prior_rejected[i, k]),
+                held=bool(arrays.is_fixed[i, k]),
+                prior_rejected=bool(arrays.is_prior_rejected[i, k]),
             )
             further = {"applied": float(applied[i, k] / factor)} if differs else {}
             named = {"instrument": instrument} if several else {}
@@ -374,26 +375,26 @@ def _parameters(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEn
     return tuple(entries)
 
 
-def _of_each(
+def _entries_per_instrument(
     arrays: CalibrationArrays,
-    entries_of: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
-    estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
-) -> tuple[EntryT, ...]:
-    """Entries of each instrument from its values and covariance, transformed by `estimates_of` if given."""
-    several, size = len(arrays.instruments) > 1, arrays.construction.size
-    rows: list[EntryT] = []
+    make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryType]],
+    transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
+) -> tuple[EntryType, ...]:
+    """Entries of each instrument from its values and covariance, transformed by `transform` if given."""
+    several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
+    rows: list[EntryType] = []
     parameters = arrays.construction.parameters
-    for i, (name, values) in enumerate(zip(arrays.instruments, arrays.values, strict=True)):
+    for i, (name, values) in enumerate(zip(arrays.instruments, arrays.estimates, strict=True)):
         covariance = arrays.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
-        if estimates_of is not None:
-            values, covariance = estimates_of(parameters, values, covariance, arrays.prior_used[i])
-        entries = entries_of(parameters, values, covariance)
+        if transform is not None:
+            values, covariance = transform(parameters, values, covariance, arrays.effective_prior_sigma[i])
+        entries = make_entries(parameters, values, covariance)
         rows += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
     return tuple(rows)
 
 
-def _is_estimated(noise: Sequence[NoiseRow]) -> bool:
+def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
     """True if the noise was estimated from the same readings, so that the global test is void."""
     whole = sum(n.redundancy for n in noise)
     estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return estimated > MOSTLY * whole
+    return estimated > MAX_ESTIMATED_NOISE_FRACTION * whole

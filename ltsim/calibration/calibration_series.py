@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 from scipy import linalg, special
 
-from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
@@ -27,15 +27,17 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.result_file import Entry, Finite
 
-RESOLVED = 1e-12
-"""Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
-variances."""
-ROUNDS, SETTLED = 2000, 1e-4
-"""Largest number of expectation-maximisation steps (linear convergence); change of log variances that ends them."""
+SINGULARITY_TOLERANCE = 1e-12
+"""Relative eigenvalue below which a covariance counts as singular by construction (rounding); also the smallest
+variance, in prior variances."""
+MAX_EM_STEPS = 2000
+"""Largest number of expectation-maximisation steps, which converge linearly."""
+EM_TOLERANCE = 1e-4
+"""Change of the log variances at which the expectation-maximisation ends."""
 
 
 class ChiSquareEntry(Entry):
-    """A chi-square test."""
+    """Entry of a chi-square test."""
 
     chi2: Finite
     """Weighted sum of squares."""
@@ -45,7 +47,7 @@ class ChiSquareEntry(Entry):
     """p-value: probability of as large a chi-square or larger; 1 without degrees of freedom."""
 
     @classmethod
-    def of(cls, chi2: float, dof: int) -> Self:
+    def from_statistic(cls, chi2: float, dof: int) -> Self:
         """Test from its statistic and degrees of freedom."""
         return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
 
@@ -79,7 +81,7 @@ class ChangeEntry(ChiSquareEntry):
 
 
 @dataclass(frozen=True)
-class Population(ValueEquality):
+class ParameterPopulation(ValueEquality):
     """Mean of an instrument's parameters, and their spread from one calibration to the next."""
 
     mean: Floats
@@ -102,9 +104,9 @@ class CalibrationSeries(ValueEquality):
     """Days since the first calibration, (K,); None if a date is missing."""
 
     @classmethod
-    def of(
+    def from_labelled(
         cls,
-        named: Sequence[tuple[str, Calibration]],
+        labelled_calibrations: Sequence[tuple[str, Calibration]],
         instrument: str | None = None,
         dates: Sequence[str] | None = None,
     ) -> CalibrationSeries:
@@ -118,25 +120,33 @@ class CalibrationSeries(ValueEquality):
             When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
             uncertainty, or the dates are none or out of order.
         """
-        if len(named) < 2:
-            raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
-        if len({c.construction.names for _, c in named}) > 1:
+        if len(labelled_calibrations) < 2:
+            raise RecordError(
+                f"the history has {len(labelled_calibrations)} calibration(s); expected at least two to compare"
+            )
+        if len({c.construction.parameter_names for _, c in labelled_calibrations}) > 1:
             raise RecordError("the calibrations hold different parameters, expected one construction for all")
-        if not named[0][1].construction.size:
+        if not labelled_calibrations[0][1].construction.n_parameters:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
-        for label, calibration in named:
+        for label, calibration in labelled_calibrations:
             if calibration.history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
-        chosen = _estimated([single_instrument(calibration, instrument, label) for label, calibration in named])
-        for (label, _), calibration in zip(named, chosen, strict=True):
+        chosen = _with_common_parameters(
+            [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
+        )
+        for (label, _), calibration in zip(labelled_calibrations, chosen, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
-                name = calibration.construction.names[unsure[0]]
+                name = calibration.construction.parameter_names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
-        labels = tuple(label for label, _ in named)
-        declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
-        return cls(labels, chosen, days_of(labels, declared))
+        labels = tuple(label for label, _ in labelled_calibrations)
+        declared = (
+            dates
+            if dates is not None
+            else [c.recording.measured if c.recording else None for _, c in labelled_calibrations]
+        )
+        return cls(labels, chosen, days_since_first(labels, declared))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -147,9 +157,9 @@ class CalibrationSeries(ValueEquality):
         return self.calibrations[0].construction
 
     @cached_property
-    def values(self) -> Floats:
+    def estimates(self) -> Floats:
         """Estimates of all calibrations, (K, p) [SI]."""
-        return np.array([c.values[0] for c in self.calibrations])
+        return np.array([c.estimates[0] for c in self.calibrations])
 
     @cached_property
     def sigma(self) -> Floats:
@@ -162,27 +172,27 @@ class CalibrationSeries(ValueEquality):
         return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
-    def _evidence(self) -> list[LikelihoodInformation]:
+    def _likelihood_information(self) -> list[LikelihoodInformation]:
         return [
-            likelihood_information(c.values[0], c.covariance, c.arrays.prior_used[0], self.prior_sigma)
+            likelihood_information(c.estimates[0], c.covariance, c.arrays.effective_prior_sigma[0], self.prior_sigma)
             for c in self.calibrations
         ]
 
     @cached_property
-    def _informative(self) -> Floats:
+    def _informative_combinations(self) -> Floats:
         """Orthonormal combinations (p, r), in prior sigmas, on which the calibrations have information on average."""
-        remaining = np.mean([e.remaining for e in self._evidence], axis=0)
+        remaining = np.mean([e.posterior_covariance for e in self._likelihood_information], axis=0)
         values, vectors = linalg.eigh(remaining)
-        return vectors[:, 1.0 - values > UNINFORMATIVE]
+        return vectors[:, 1.0 - values > MAX_UNINFORMATIVE_GAIN]
 
     @cached_property
-    def _joint(self) -> Floats:
+    def _joint_covariance(self) -> Floats:
         """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
 
         Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
         """
-        remaining = np.array([e.remaining for e in self._evidence])
-        pull = np.array([e.remaining @ e.information for e in self._evidence])
+        remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
+        pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
         joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
             joint[i, :, i] += pull[i] @ remaining[i]
@@ -196,15 +206,17 @@ class CalibrationSeries(ValueEquality):
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first, second]] = -1.0, 1.0
-        gap, spread = self._contrasted(contrast, np.eye(len(parameters)))
-        sigma = np.sqrt(np.where(self._gain > UNINFORMATIVE, np.diag(spread), 0.0))
+        gap, spread = self._contrasts_and_covariance(contrast, np.eye(len(parameters)))
+        sigma = np.sqrt(np.where(self._mean_variance_reduction > MAX_UNINFORMATIVE_GAIN, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
         holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
         changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
-        unit = self.prior_sigma / [p.factor for p in parameters]
-        test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()
+        unit = self.prior_sigma / [p.si_per_display_unit for p in parameters]
+        test: dict[str, Any] = _chi_square_test(
+            *self._contrasts_and_covariance(contrast, self._informative_combinations)
+        ).model_dump()
         return ChangeEntry(
             **test | {"from": self.labels[first], "to": self.labels[second]},
             changed=tuple(parameters[k].name for k in changed),
@@ -217,43 +229,45 @@ class CalibrationSeries(ValueEquality):
         )
 
     @cached_property
-    def _gain(self) -> Floats:
+    def _mean_variance_reduction(self) -> Floats:
         """Mean share (p,) of each parameter's prior variance that the readings removed."""
-        return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
+        return 1.0 - np.mean([np.diag(e.posterior_covariance) for e in self._likelihood_information], axis=0)
 
     def changes(self) -> list[ChangeEntry]:
         """Changes between each calibration and the previous one."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
-    def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
+    def constancy_test(self, parameter: int | None = None) -> ChiSquareEntry:
         """Test that all calibrations have equal parameters: all, or one by its index."""
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
-            return _test(*self._contrasted(contrast, self._informative))
-        if not self._gain[parameter] > UNINFORMATIVE:
-            return ChiSquareEntry.of(0.0, 0)
-        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
+            return _chi_square_test(*self._contrasts_and_covariance(contrast, self._informative_combinations))
+        if not self._mean_variance_reduction[parameter] > MAX_UNINFORMATIVE_GAIN:
+            return ChiSquareEntry.from_statistic(0.0, 0)
+        return _chi_square_test(
+            *self._contrasts_and_covariance(contrast, np.eye(self.construction.n_parameters)[:, [parameter]])
+        )
 
-    def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
+    def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
         """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
-        values = contrast @ (self.values / self.prior_sigma) @ combination
-        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint, combination, optimize=True)
+        values = contrast @ (self.estimates / self.prior_sigma) @ combination
+        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True)
         spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
         return values.ravel(), spread.reshape(values.size, values.size)
 
     @cached_property
-    def population(self) -> Population:
+    def population(self) -> ParameterPopulation:
         """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
 
         Expectation-maximisation with the mean as an unknown is used (Patterson and Thompson, Biometrika 58 (1971) 545),
         so that the estimation of the mean from the same few calibrations does not bias the spread. The mean retains the
         prior for combinations without information. The spread of a parameter without information is the prior sigma.
         """
-        information = np.array([e.information for e in self._evidence])
-        vectors = np.array([e.information_vector for e in self._evidence])
-        identity, variance = np.eye(self.construction.size), np.ones(self.construction.size)
-        mean, of_mean = np.zeros(self.construction.size), identity
-        for _ in range(ROUNDS):
+        information = np.array([e.information for e in self._likelihood_information])
+        vectors = np.array([e.information_vector for e in self._likelihood_information])
+        identity, variance = np.eye(self.construction.n_parameters), np.ones(self.construction.n_parameters)
+        mean, of_mean = np.zeros(self.construction.n_parameters), identity
+        for _ in range(MAX_EM_STEPS):
             # With N and V: weight of the mean in an estimate, covariance of the estimate, covariance of the mean.
             keeps = np.linalg.inv(identity + variance[:, None] * information)
             of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + identity)
@@ -262,18 +276,18 @@ class CalibrationSeries(ValueEquality):
             deviation = keeps - identity
             remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
             spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
-            spread = np.maximum(spread, RESOLVED)
-            settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
+            spread = np.maximum(spread, SINGULARITY_TOLERANCE)
+            settled = np.max(np.abs(np.log(spread / variance))) < EM_TOLERANCE
             variance = spread
             if settled:
                 break
-        silent = self._gain < UNINFORMATIVE
+        silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
         mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
         unit = self.prior_sigma
-        return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
+        return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
-    def as_prior_of(self, calibration: Calibration) -> Calibration:
-        """Calibration with the history's population as its prior in place of the specification.
+    def with_population_prior(self, calibration: Calibration) -> Calibration:
+        """Copy of a calibration whose prior is the population of this series instead of the specification.
 
         It applies to a calibration that is not part of the history. Each parameter is a weighted mean: one that hardly
         varies mostly follows the history, one that varies mostly the calibration.
@@ -281,11 +295,13 @@ class CalibrationSeries(ValueEquality):
         population, unit = self.population, self.prior_sigma
         single = single_instrument(calibration, None, "the calibration")
         spread = population.spread / unit
-        likelihood = likelihood_information(single.values[0], single.covariance, single.arrays.prior_used[0], unit)
+        likelihood = likelihood_information(
+            single.estimates[0], single.covariance, single.arrays.effective_prior_sigma[0], unit
+        )
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
         values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
         return single.with_changes(
-            values=(values * unit)[None],
+            estimates=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],
             correction=None,
@@ -305,29 +321,29 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
         return calibration
     if instrument not in names:
         raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
-    return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
+    return calibration.for_instrument(names.index(instrument), np.arange(calibration.construction.n_parameters))
 
 
-def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
+def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
     """Calibrations (of one instrument) with the parameters that all of them estimated.
 
     Raises RecordError if there are none.
     """
-    held = np.any([c.held[0] for c in calibrations], axis=0)
+    held = np.any([c.is_fixed[0] for c in calibrations], axis=0)
     if held.all():
         raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
-    return tuple(c.part(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
+    return tuple(c.for_instrument(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
 
 
-def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
+def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
     """Chi-square test of a vector (m,) over the combinations that its covariance (m, m) determines."""
-    values, vectors = linalg.eigh(0.5 * (spread + spread.T))
-    resolved = values > RESOLVED * max(float(values[-1]), 0.0)
-    z = (vectors[:, resolved].T @ gap) / np.sqrt(values[resolved])
-    return ChiSquareEntry.of(float(z @ z), int(resolved.sum()))
+    values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
+    resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
+    z = (vectors[:, resolved].T @ difference) / np.sqrt(values[resolved])
+    return ChiSquareEntry.from_statistic(float(z @ z), int(resolved.sum()))
 
 
-def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
+def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
     """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
     if len(dates) != len(labels):
         problem = f"there are {len(dates)} dates for {len(labels)} calibrations"

@@ -6,19 +6,19 @@ from ltsim.core.results import Column, Table, texts
 from ltsim.recordings.result_file import Entry, Finite, NonZero, OptionalFloat
 
 
-class Terms(Entry):
-    """Combination of parameters."""
+class CombinationTerms(Entry):
+    """Combination of parameters, with the coefficient of each."""
 
     combination: dict[str, Finite]
     """Coefficient of each parameter."""
 
     @property
-    def terms(self) -> str:
+    def text(self) -> str:
         """Text of the combination in one line."""
         return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
-class Combination(Terms):
+class UndeterminedEntry(CombinationTerms):
     """Undetermined combination of parameters, in prior sigmas."""
 
     gain: OptionalFloat = None
@@ -27,7 +27,7 @@ class Combination(Terms):
     """Measurement that would determine the combination."""
 
 
-class DeterminedEntry(Terms):
+class DeterminedEntry(CombinationTerms):
     """Combination of parameters that the recording determines far better than each of them."""
 
     combination: dict[str, NonZero] = Field(min_length=1)
@@ -42,7 +42,7 @@ class DeterminedEntry(Terms):
     """Name of the instrument; empty for a single unnamed one."""
 
 
-UNDETERMINED = Table(
+UNDETERMINED_TABLE = Table(
     "undetermined.csv",
     "combinations of parameters that are not determined",
     (

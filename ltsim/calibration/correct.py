@@ -4,19 +4,23 @@ import numpy as np
 
 from ltsim.adjustment.start import initial_network
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import CalibrationSource, calibration_of
+from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
-from ltsim.geometry.polar import to_face, to_polar, wrap
-from ltsim.physics.model.construction import Construction, ideal
+from ltsim.geometry.polar import to_face, to_polar, wrap_angle
+from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.incidence import incidence_shift
-from ltsim.physics.model.measurement import MeasurementModel, State
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 
 
 def correct(
-    recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False, rejected: bool = False
+    recording: RecordingSource,
+    calibration: CalibrationSource,
+    *,
+    allow_repeated: bool = False,
+    allow_rejected: bool = False,
 ) -> Recording:
     """Recording that an ideal tracker would have made, by a calibration of the instrument.
 
@@ -28,9 +32,9 @@ def correct(
     recording : Recording, str or Path
         Recording of the same instrument, with any network.
     calibration : Calibration, str or Path
-    again : bool
+    allow_repeated : bool
         Also correct readings that the set-up declares corrected.
-    rejected : bool
+    allow_rejected : bool
         Also use a calibration whose readings contradict its model.
 
     Raises
@@ -49,17 +53,17 @@ def correct(
     >>> len(corrected)
     140
     """
-    source, corrections = recording_of(recording), calibration_of(calibration)
-    if not again and any(source.instrument_of(name).corrected for name in source.stations):
+    source, corrections = load_recording(recording), load_calibration(calibration)
+    if not allow_repeated and any(source.instrument_of(name).corrected for name in source.stations):
         raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
-    if corrections.is_rejected and corrections.names and not rejected:
+    if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
-            f"without that cause, or give {option('rejected=True')} to use it nevertheless"
+            f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
     values = corrections.values_for(source)
-    without = source.with_readings(source.readings - incidence_change(source, corrections))
+    without = source.with_readings(source.readings - incidence_correction_change(source, corrections))
     readings = corrected_readings(without, corrections.construction, values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
@@ -67,33 +71,33 @@ def correct(
     return source.replace(setup=setup.model_copy(update=marked), readings=readings)
 
 
-def incidence_change(recording: Recording, calibration: Calibration) -> Floats:
+def incidence_correction_change(recording: Recording, calibration: Calibration) -> Floats:
     """Change (n, 3) of the readings by the reflectors' incidence errors that a calibration estimated.
 
     Directions of nests and an approximate network are needed; without them it is zero.
     """
     reflectors = calibration.applied_reflectors
-    model = MeasurementModel(recording, ideal())
-    if not any(error.reflector in reflectors for error in model.incidence):
+    model = MeasurementModel(recording, ideal_construction())
+    if not any(error.reflector in reflectors for error in model.incidence_errors):
         return np.zeros(recording.readings.shape)
     try:
         (position, rotation, points), _ = initial_network(recording)
     except NetworkError:
         return np.zeros(recording.readings.shape)
-    sightings = model.sightings(State(position, rotation, points, np.zeros((len(recording.instruments), 0))))
+    sightings = model.sightings(NetworkState(position, rotation, points, np.zeros((len(recording.instruments), 0))))
     return incidence_shift(recording, sightings, reflectors)
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
     """Ideal raw readings (n, 3) of the points that the raw readings describe; NaN if not measured."""
-    raw = np.where(recording.measured, recording.readings, _filler(recording))
+    raw = np.where(recording.measured, recording.readings, _replacement_readings(recording))
     ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
     change = ideal - raw
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.measured, raw + change, np.nan)
 
 
-def _filler(recording: Recording) -> Floats:
+def _replacement_readings(recording: Recording) -> Floats:
     """Readings (n, 3) of an ideal tracker at the start network for incomplete rows; zeros if there are none."""
     incomplete: Bools = np.asarray(~recording.measured.all(axis=1))
     if not incomplete.any():
@@ -101,16 +105,16 @@ def _filler(recording: Recording) -> Floats:
     try:
         (position, rotation, points), lost = initial_network(recording)
     except NetworkError as problem:
-        raise _placeless(incomplete, str(problem)) from None
+        raise _undetermined_rows_error(incomplete, str(problem)) from None
     untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]
     if untied.any():
         name = recording.targets[recording.target[int(np.argmax(untied))]]
-        raise _placeless(untied, f"no reading connects target {name} to it")
-    model = MeasurementModel(recording, ideal())
-    return model.predict(State(position, rotation, points, np.zeros((1, 0))))
+        raise _undetermined_rows_error(untied, f"no reading connects target {name} to it")
+    model = MeasurementModel(recording, ideal_construction())
+    return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 
 
-def _placeless(rows: Bools, why: str) -> NetworkError:
+def _undetermined_rows_error(rows: Bools, reason: str) -> NetworkError:
     return NetworkError(
-        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle, and its target has no coordinates: {why}"
+        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle, and its target has no coordinates: {reason}"
     )

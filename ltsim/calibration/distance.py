@@ -14,21 +14,27 @@ from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.combinations import Combination
+from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.calibration.correct import corrected_readings
-from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, solve_equation_9, with_minimum
+from ltsim.calibration.distance_solver import (
+    DistanceEstimate,
+    ObjectiveNorm,
+    compare_with_minimum,
+    solve_distances,
+    solve_equation_9,
+)
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.calibration.prior_information import Choice
-from ltsim.calibration.schema import Fit
+from ltsim.calibration.prior_information import ParameterSelection
+from ltsim.calibration.schema import FitEntry
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.construction import Construction, declared_construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 
-METHODS: dict[str, Norm] = {
+DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
     "distance": "squares",
     "distance-l1": "absolute",
     "equation-9": "squares",
@@ -42,8 +48,8 @@ def calibrate_distance(
     *,
     method: str = "distance",
     advise: bool = True,
-    choice: Choice | None = None,
-    box: float | None = None,
+    choice: ParameterSelection | None = None,
+    bound_in_prior_sigmas: float | None = None,
 ) -> Calibration:
     """Distance methods of `ltsim.calibrate` (eq. 9 and 10), with its options and errors.
 
@@ -52,94 +58,100 @@ def calibrate_distance(
     """
     require_equal_radii(recording, f"the method {method}")
     built = construction or declared_construction(recording)
-    parameter_prior = (choice or Choice()).applied(recording, built)
-    prior, held = parameter_prior.sigma, parameter_prior.held
-    source = SourceEntry.of(recording)
+    parameter_prior = (choice or ParameterSelection()).prior_of(recording, built)
+    prior, held = parameter_prior.sigma, parameter_prior.is_fixed
+    source = SourceEntry.from_recording(recording)
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
-    problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
+    problem, norm, notes = DistanceProblem(usable, built, prior), DISTANCE_METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
-        estimate = solve_equation_9(problem, norm, box=box, start=start, held=held.ravel())
+        estimate = solve_equation_9(
+            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start=start, fixed_mask=held.ravel()
+        )
     else:
-        estimate = solve_distances(problem, norm, start=start, held=held.ravel())
-        notes = with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
+        estimate = solve_distances(problem, norm, start=start, fixed_mask=held.ravel())
+        notes = compare_with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
     adjustment = adjust(corrected)
     adjustment.solution.require_success()
-    propagation = Propagation(recording, built, values, estimate, adjustment)
+    propagation = ErrorPropagation(recording, built, values, estimate, adjustment)
     added = propagation.added_covariance()
     unknowns = adjustment.problem.unknowns
-    pose = adjustment.pose_covariance + added[unknowns.pose[:, :, None], unknowns.pose[:, None, :]]
+    pose = adjustment.pose_covariance + added[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
     scale = prior.ravel()
-    null_space = np.array([d.vector for d in estimate.undetermined]).reshape(-1, len(scale))
+    null_space = np.array([d.vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
     arrays = CalibrationArrays(
         construction=built,
         instruments=recording.instruments,
-        values=values,
+        estimates=values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
         null_space=null_space,
-        held=held,
-        targets=recording.targets,
-        points=adjustment.state.points,
+        is_fixed=held,
+        target_names=recording.targets,
+        target_points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance
-        + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
+        + added[unknowns.target_columns[:, :, None], unknowns.target_columns[:, None, :]],
         adjustment=adjustment,
     )
-    return Calibration.of(
+    return Calibration.from_arrays(
         arrays,
         method=method,
-        fit=_fit(propagation),
-        undetermined=_undetermined(adjustment, built, estimate, advise=advise),
-        frame=result.frame_of(adjustment),
-        stations=result.stations_of(adjustment, pose),
-        criteria=result.criteria_of(recording, adjustment, built, values, reflectors=False),
-        outliers=result.outliers_of(adjustment),
-        undetermined_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
+        fit=_fit_entry(propagation),
+        undetermined=_undetermined_entries(adjustment, built, estimate, advise=advise),
+        frame=result.frame_text(adjustment),
+        stations=result.station_poses(adjustment, pose),
+        criteria=result.criteria_table(recording, adjustment, built, values, reflectors=False),
+        outliers=result.outlier_rows(adjustment),
+        undetermined_targets=tuple(
+            recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.is_unmeasured_target)
+        ),
         recording=source,
-        notes=(*result.notes_on_modes(adjustment), *notes),
+        notes=(*result.range_zero_notes(adjustment), *notes),
     )
 
 
-def _fit(propagation: Propagation) -> Fit:
+def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
     """Fit of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
     mean, variance = propagation.chi2_moments()
     expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
     status = "capped", "the limit of iterations was reached before the steps became small"
-    if estimate.converged:
+    if estimate.has_converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
-    return Fit(
+    return FitEntry(
         chi2=chi2,
         dof=expected,
         sigma0=float(np.sqrt(chi2 / expected)) if redundant else None,
         p_value=propagation.chi2_tail(chi2) if redundant else None,
-        iterations=estimate.iterations,
+        iterations=estimate.n_iterations,
         status=status[0],
         sentence=status[1],
         chi2_sigma=float(np.sqrt(variance)),
     )
 
 
-def _undetermined(
-    adjustment: Adjustment, construction: Construction, estimate: Estimates, *, advise: bool
-) -> tuple[Combination, ...]:
+def _undetermined_entries(
+    adjustment: Adjustment, construction: Construction, estimate: DistanceEstimate, *, advise: bool
+) -> tuple[UndeterminedEntry, ...]:
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
-        return result.undetermined_of(adjustment, construction, [list(estimate.undetermined)], advise=advise)
-    names = construction.names_of(instruments)
+        return result.undetermined_entries(
+            adjustment, construction, [list(estimate.undetermined_combinations)], recommend_measurements=advise
+        )
+    names = construction.instrument_parameter_names(instruments)
     return tuple(
-        Combination(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
-        for d in estimate.undetermined
+        UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
+        for d in estimate.undetermined_combinations
     )
 
 
 @dataclass(frozen=True)
-class Propagation:
+class ErrorPropagation:
     """Propagation of the error of previously estimated parameters through the adjustment of corrected readings.
 
     With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
@@ -151,60 +163,63 @@ class Propagation:
     recording: Recording
     """Uncorrected recording."""
     construction: Construction
-    values: Floats
+    estimates: Floats
     """Estimated parameters, (I, p) [SI]."""
-    estimate: Estimates
+    estimate: DistanceEstimate
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 
     @cached_property
-    def _used(self) -> Ints:
-        return np.flatnonzero(self.adjustment.problem.use.ravel())
+    def _used_rows(self) -> Ints:
+        return np.flatnonzero(self.adjustment.problem.used_readings.ravel())
 
     @cached_property
-    def _design(self) -> Floats:
+    def _whitened_design(self) -> Floats:
         """Whitened design of readings and gauge, (m, size)."""
-        rows = len(self._used) + len(self.adjustment.problem.gauge)
-        return as_dense(self.adjustment.solution.system.design[:rows])
+        rows = len(self._used_rows) + len(self.adjustment.problem.gauge_rows)
+        return to_dense(self.adjustment.solution.system.design[:rows])
 
     @cached_property
-    def _response(self) -> Floats:
+    def _adjustment_response(self) -> Floats:
         """Matrix A of the adjustment, (size, m)."""
-        return self.adjustment.factor.covariance_columns(np.ascontiguousarray(self._design.T))
+        return self.adjustment.factorised_normals.covariance_columns(np.ascontiguousarray(self._whitened_design.T))
 
     @cached_property
-    def _by_parameter(self) -> Floats:
+    def _parameter_design(self) -> Floats:
         """Design B in units of the prior sigmas, (m, I p); gauge lengths do not depend on the parameters."""
-        recording, (count, size) = self.recording, self.values.shape
+        recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state
-        at = State(state.position, state.rotation, state.points, self.values)
-        by_value = MeasurementModel(recording, self.construction).linearised(at).by_instrument
+        at = NetworkState(state.station_positions, state.station_rotations, state.target_points, self.estimates)
+        by_value = MeasurementModel(recording, self.construction).linearised(at).instrument_derivatives
         prior = prior_sigmas(recording, self.construction)[recording.instrument]
         wide = np.zeros((len(recording), 3, count, size))
         wide[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
         whitened = (wide / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
-        gauge = np.zeros((len(self.adjustment.problem.gauge), count * size))
-        return np.concatenate([whitened[self._used], gauge])
+        gauge = np.zeros((len(self.adjustment.problem.gauge_rows), count * size))
+        return np.concatenate([whitened[self._used_rows], gauge])
 
     @cached_property
-    def _with_noise(self) -> Floats:
+    def _noise_parameter_covariance(self) -> Floats:
         """Covariance of the whitened noise and the parameters' error, (m, I p)."""
         readings = 3 * len(self.recording)
-        noise = self.estimate.noise
-        return np.concatenate([noise[:, self._used], noise[:, readings:]], axis=1).T
+        noise = self.estimate.noise_covariance
+        return np.concatenate([noise[:, self._used_rows], noise[:, readings:]], axis=1).T
 
     def added_covariance(self) -> Floats:
         """Contribution of the parameters' error to the covariance (size, size) of the adjustment."""
-        through = self._response @ self._by_parameter
-        crossed = (self._response @ self._with_noise) @ through.T
+        through = self._adjustment_response @ self._parameter_design
+        crossed = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
         return through @ self.estimate.covariance @ through.T - crossed - crossed.T
 
-    def _residual_part(self, columns: Floats) -> Floats:
-        return columns - self._design @ (self._response @ columns)
+    def _project_on_residuals(self, columns: Floats) -> Floats:
+        return columns - self._whitened_design @ (self._adjustment_response @ columns)
 
     def chi2_moments(self) -> tuple[float, float]:
         """Expected value and variance of the adjustment's chi-square for a correct model and declared noise."""
-        systematic, noise = self._residual_part(self._by_parameter), self._residual_part(self._with_noise)
+        systematic, noise = (
+            self._project_on_residuals(self._parameter_design),
+            self._project_on_residuals(self._noise_parameter_covariance),
+        )
         both = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
         mixed = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (

@@ -18,229 +18,245 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog, lsq_linear
 
-from ltsim.adjustment.remedies.undetermined import DETERMINED, Direction
-from ltsim.calibration.objective import DistanceProblem, Distances, centring, set_pairs
+from ltsim.adjustment.remedies.undetermined import MIN_DETERMINED_GAIN, ParameterCombination
+from ltsim.calibration.objective import DistanceProblem, SetDistances, centring_matrix, set_pairs
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
-from ltsim.solve.absolute import least_absolute
+from ltsim.solve.absolute import solve_least_absolute
 
-CAP, CLOSED = 30, 1e-7
-"""Largest number of steps, and largest change of an unknown, in prior sigmas, at which the iteration has converged."""
-LEAST_CAP, LEAST_CLOSED = 60, 1e-9
-"""Largest number of steps, and relative change at which the iteration has converged, for the minimum of eq. 9; the
-change is that of an unknown (in prior sigmas) or of the objective.
-"""
-NOTHING = 1e-9
+MAX_GAUSS_NEWTON_STEPS = 30
+"""Largest number of Gauss-Newton steps of the distance methods."""
+STEP_TOLERANCE = 1e-7
+"""Largest change of an unknown, in prior sigmas, at which the iteration has converged."""
+MAX_EQUATION_9_STEPS = 60
+"""Largest number of steps to the minimum of eq. 9 over all combinations."""
+EQUATION_9_TOLERANCE = 1e-9
+"""Change of an unknown (in prior sigmas) or relative change of the objective at which the iteration to the minimum of
+eq. 9 has converged."""
+MIN_RELATIVE_SINGULAR_VALUE = 1e-9
 """Singular value, relative to the largest, below which a combination changes no compared distance (rounding)."""
 
-Norm = Literal["squares", "absolute"]
+ObjectiveNorm = Literal["squares", "absolute"]
+"""Norm of the objective: sum of squares, or sum of absolute values."""
 
 
 @dataclass(frozen=True)
-class Separations:
+class ComparedDistances:
     """Compared distances: comparison matrix (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
 
-    compare: sp.csr_array
-    residual: Floats
-    by_unknown: Floats
-    by_noise: sp.csr_array
+    comparison_matrix: sp.csr_array
+    residuals: Floats
+    unknown_derivatives: Floats
+    noise_derivatives: sp.csr_array
 
 
 @dataclass(frozen=True)
-class Estimates:
+class DistanceEstimate:
     """Estimates in units of their prior sigmas, and their dependence on the noise."""
 
     unknowns: Floats
     """Estimated unknowns, (q,)."""
     covariance: Floats
     """Covariance of the error, including combinations fixed at zero, (q, q)."""
-    noise: Floats
+    noise_covariance: Floats
     """Covariance of the error and the whitened readings and gauge lengths, (q, 3 n + g)."""
-    undetermined: tuple[Direction, ...]
-    objective: float
+    undetermined_combinations: tuple[ParameterCombination, ...]
+    objective_value: float
     """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""
-    iterations: int
-    converged: bool
+    n_iterations: int
+    has_converged: bool
 
 
-def mean_rows(problem: DistanceProblem, distances: Distances) -> Separations:
+def mean_deviation_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Rows whose sum of squares is eq. 9 squared: weighted deviations from the mean over sets."""
-    centre, count = centring(distances)
+    centre, count = centring_matrix(distances)
     scaled = sp.diags_array(np.sqrt(count)) @ centre
-    return _with_gauge(problem, distances, sp.csr_array(scaled))
+    return _append_gauge_rows(problem, distances, sp.csr_array(scaled))
 
 
-def pair_rows(problem: DistanceProblem, distances: Distances) -> Separations:
+def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Single terms of eq. 9: differences between pairs of sets, then gauge terms."""
     first, second = set_pairs(distances)
-    problem._check_size(len(first))
-    count = len(distances.length)
-    return _with_gauge(problem, distances, sp.csr_array(_selected(first, count) - _selected(second, count)))
+    problem._check_matrix_size(len(first))
+    count = len(distances.lengths)
+    return _append_gauge_rows(
+        problem, distances, sp.csr_array(_selection_matrix(first, count) - _selection_matrix(second, count))
+    )
 
 
-def _selected(at: Ints, count: int) -> sp.csr_array:
-    """Matrix (k, count) that selects the rows `at` (k,)."""
-    return sp.csr_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), count))
+def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
+    """Matrix (k, count) that selects the rows `row_indices` (k,)."""
+    return sp.csr_array(
+        (np.ones(len(row_indices)), (np.arange(len(row_indices)), row_indices)), shape=(len(row_indices), n_columns)
+    )
 
 
-def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_array) -> Separations:
+def _append_gauge_rows(
+    problem: DistanceProblem, distances: SetDistances, comparison_matrix: sp.csr_array
+) -> ComparedDistances:
     at, which = problem.gauge_matches(distances)
-    n_lengths = len(problem.gauge)
-    pick = _selected(at, len(distances.length))
+    n_lengths = len(problem.reference_lengths)
+    pick = _selection_matrix(at, len(distances.lengths))
     # The error of a gauge length shifts all rows that compare with it.
-    spread = sp.csr_array(-problem.gauge.spread[which])
-    matrix = sp.vstack([compare, pick], format="csr")
-    residual = matrix @ distances.length
-    residual[compare.shape[0] :] -= problem.gauge.length[which]
-    length_noise = sp.vstack([sp.csr_array((compare.shape[0], n_lengths)), spread], format="csr")
-    noise = sp.hstack([matrix @ distances.by_reading, length_noise], format="csr")
-    return Separations(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
+    spread = sp.csr_array(-problem.reference_lengths.decorrelated_to_lengths[which])
+    matrix = sp.vstack([comparison_matrix, pick], format="csr")
+    residual = matrix @ distances.lengths
+    residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
+    length_noise = sp.vstack([sp.csr_array((comparison_matrix.shape[0], n_lengths)), spread], format="csr")
+    noise = sp.hstack([matrix @ distances.reading_derivatives, length_noise], format="csr")
+    return ComparedDistances(
+        sp.csr_array(matrix), residual, matrix @ distances.parameter_derivatives, sp.csr_array(noise)
+    )
 
 
 def solve_distances(
-    problem: DistanceProblem, norm: Norm, *, start: Floats | None = None, held: Bools | None = None
-) -> Estimates:
+    problem: DistanceProblem, norm: ObjectiveNorm, *, start: Floats | None = None, fixed_mask: Bools | None = None
+) -> DistanceEstimate:
     """Minimum of eq. 9 over the combinations that the readings determine.
 
-    The iteration starts at zero or at `start` (q,); unknowns that are `held` (q,) keep their start value.
+    The iteration starts at zero or at `start` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
 
     Raises
     ------
     NetworkError
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
-    unknowns, free = _begun(problem, start, held)
-    rows = mean_rows(problem, problem.at(unknowns))
-    _require_compared(rows, np.ones_like(free))
-    estimated, undetermined = determined(rows, free)
+    unknowns, free = _start_values(problem, start, fixed_mask)
+    rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    _require_compared_distances(rows, np.ones_like(free))
+    estimated, undetermined = determined_combinations(rows, free)
     moved, iterations = np.inf, 0
-    while iterations < CAP and not moved < CLOSED:
+    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < STEP_TOLERANCE:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
-        step = estimated @ _least(rows.by_unknown @ estimated, rows.residual, norm)
+        step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < CLOSED)
+    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < STEP_TOLERANCE)
 
 
 def solve_equation_9(
     problem: DistanceProblem,
-    norm: Norm,
+    norm: ObjectiveNorm,
     *,
-    box: float | None = None,
+    bound_in_prior_sigmas: float | None = None,
     start: Floats | None = None,
-    held: Bools | None = None,
-) -> Estimates:
-    """Minimum of eq. 9 with every unknown within `box` prior sigmas; arguments and errors as `solve_distances`.
+    fixed_mask: Bools | None = None,
+) -> DistanceEstimate:
+    """Minimum of eq. 9 with every unknown within `bound_in_prior_sigmas` prior sigmas.
+
+    Arguments and errors as `solve_distances`.
 
     Raises
     ------
     ModelError
         When the box is not positive.
     """
-    if box is not None and not box > 0:
-        raise ModelError(f"the box is {box}, expected a positive number of prior sigmas")
-    unknowns, free = _begun(problem, start, held)
+    if bound_in_prior_sigmas is not None and not bound_in_prior_sigmas > 0:
+        raise ModelError(f"the box is {bound_in_prior_sigmas}, expected a positive number of prior sigmas")
+    unknowns, free = _start_values(problem, start, fixed_mask)
     rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
-    _require_compared(rows, free)
-    while iterations < LEAST_CAP and not moved < LEAST_CLOSED:
+    _require_compared_distances(rows, free)
+    while iterations < MAX_EQUATION_9_STEPS and not moved < EQUATION_9_TOLERANCE:
         iterations += 1
         step = np.zeros(len(unknowns))
-        step[free] = _step(rows, unknowns[free], free, norm, box)
-        unknowns, rows, fallen = _searched(problem, unknowns, step, rows, norm)
+        step[free] = _bounded_step(rows, unknowns[free], free, norm, bound_in_prior_sigmas)
+        unknowns, rows, fallen = _line_search(problem, unknowns, step, rows, norm)
         moved = min(float(np.max(np.abs(step))), fallen)
-    visible, invisible = _split_visible(rows, free)
-    undetermined = tuple(Direction(vector, 0.0) for vector in invisible.T)
-    return _estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < LEAST_CLOSED)
+    visible, invisible = _split_observable_combinations(rows, free)
+    undetermined = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
+    return _make_estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < EQUATION_9_TOLERANCE)
 
 
-def _begun(problem: DistanceProblem, start: Floats | None, held: Bools | None) -> tuple[Floats, Bools]:
+def _start_values(problem: DistanceProblem, start: Floats | None, fixed_mask: Bools | None) -> tuple[Floats, Bools]:
     """Start values (q,) of the unknowns, and flags of the free ones."""
     size = problem.prior_sigma.size
     unknowns: Floats = np.zeros(size) if start is None else start.copy()
-    return unknowns, np.ones(size, dtype=bool) if held is None else ~held
+    return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
-def _require_compared(rows: Separations, free: Bools) -> None:
-    if not np.any(rows.by_unknown[:, free]):
+def _require_compared_distances(rows: ComparedDistances, free: Bools) -> None:
+    if not np.any(rows.unknown_derivatives[:, free]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
-def _estimate(
-    rows: Separations,
-    norm: Norm,
-    solution: tuple[Floats, Floats, tuple[Direction, ...]],
+def _make_estimate(
+    rows: ComparedDistances,
+    norm: ObjectiveNorm,
+    solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
     iterations: int,
     converged: bool,
-) -> Estimates:
+) -> DistanceEstimate:
     """Estimates from the unknowns, with the estimated combinations (q, k) and the excluded ones."""
     unknowns, estimated, undetermined = solution
-    covariance, noise = uncertainty(rows, estimated, norm)
+    covariance, noise = estimate_covariance(rows, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
-    return Estimates(
-        unknowns, covariance + prior.T @ prior, noise, undetermined, objective(rows, norm), iterations, converged
+    return DistanceEstimate(
+        unknowns, covariance + prior.T @ prior, noise, undetermined, objective_of(rows, norm), iterations, converged
     )
 
 
-def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Separations:
+def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
     """Rows whose sum of squares, or of absolute values, is eq. 9."""
-    distances = problem.at(unknowns)
-    return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
+    distances = problem.distances_at(unknowns)
+    return mean_deviation_rows(problem, distances) if norm == "squares" else pair_difference_rows(problem, distances)
 
 
-def objective(rows: Separations, norm: Norm) -> float:
+def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
     """Value of eq. 9 [m^2], or of its sum of absolute values [m]."""
-    return float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
+    return float(np.sum(rows.residuals**2) if norm == "squares" else np.sum(np.abs(rows.residuals)))
 
 
-def determined(rows: Separations, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
+def determined_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations (q, k) of the `free` (q,) unknowns to be estimated, and those fixed at zero with their gains."""
-    strength, eigenvectors = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
+    strength, eigenvectors = np.linalg.eigh(rows.unknown_derivatives[:, free].T @ rows.unknown_derivatives[:, free])
     vectors = np.zeros((len(free), len(eigenvectors)))
     vectors[free] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    carried = np.asarray((rows.by_noise.T @ (rows.by_unknown @ vectors)).T)
+    carried = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
     variance = np.full(len(strength), np.inf)
     variance[nonzero] = np.sum(carried[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
-    keep = gain >= DETERMINED
-    undetermined = [Direction(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
+    keep = gain >= MIN_DETERMINED_GAIN
+    undetermined = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
     return vectors[:, keep], tuple(sorted(undetermined, key=lambda d: d.gain))
 
 
-def _split_visible(rows: Separations, free: Bools) -> tuple[Floats, Floats]:
+def _split_observable_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, Floats]:
     """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
-    _, strength, right_vectors = np.linalg.svd(rows.by_unknown[:, free], full_matrices=False)
+    _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free], full_matrices=False)
     vectors = np.zeros((len(free), len(right_vectors)))
     vectors[free] = right_vectors.T
-    nonzero = strength > NOTHING * strength[0]
+    nonzero = strength > MIN_RELATIVE_SINGULAR_VALUE * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
 
-def _least(design: Floats, residual: Floats, norm: Norm) -> Floats:
+def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Floats:
     """Step that minimises |residual + design @ step| in the norm."""
     if norm == "squares":
         return -np.asarray(np.linalg.lstsq(design, residual, rcond=None)[0], dtype=np.float64)
-    return -least_absolute(design, residual)
+    return -solve_least_absolute(design, residual)
 
 
-def _step(rows: Separations, at: Floats, free: Bools, norm: Norm, box: float | None) -> Floats:
+def _bounded_step(
+    rows: ComparedDistances, unknowns: Floats, free: Bools, norm: ObjectiveNorm, bound_in_prior_sigmas: float | None
+) -> Floats:
     """Step (f,) of the free unknowns to the minimum of the linearised objective."""
-    design = rows.by_unknown[:, free]
-    if box is None:
-        visible = _split_visible(rows, free)[0][free]
-        return visible @ _least(design @ visible, rows.residual, norm)
-    within = _squares_in_box if norm == "squares" else _absolute_in_box
-    return within(design, rows.residual, (-box - at, box - at))
+    design = rows.unknown_derivatives[:, free]
+    if bound_in_prior_sigmas is None:
+        visible = _split_observable_combinations(rows, free)[0][free]
+        return visible @ _unbounded_step(design @ visible, rows.residuals, norm)
+    within = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
+    return within(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
 
 
-def _squares_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+def _least_squares_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
     scale = float(np.linalg.norm(residual))
     solution = lsq_linear(design / scale, -residual / scale, bounds, method="bvls", tol=1e-14)
     return np.asarray(solution.x, dtype=np.float64)
 
 
-def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
     """Solution of a linear program: residual + design @ step = above - below, both nonnegative, smallest sum."""
     count, size = design.shape
     scale = float(np.mean(np.abs(residual)))
@@ -254,51 +270,54 @@ def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Flo
     return np.asarray(solution.x[:size], dtype=np.float64)
 
 
-def _searched(
-    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: Separations, norm: Norm
-) -> tuple[Floats, Separations, float]:
+def _line_search(
+    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: ComparedDistances, norm: ObjectiveNorm
+) -> tuple[Floats, ComparedDistances, float]:
     """Backtracking line search along a step: unknowns, rows at them, and relative decrease of the objective."""
-    before, share = objective(rows, norm), 1.0
+    before, share = objective_of(rows, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
         rows_there = compared_rows(problem, there, norm)
-        fallen = 1.0 - objective(rows_there, norm) / before
+        fallen = 1.0 - objective_of(rows_there, norm) / before
         if fallen > 0.0:
             return there, rows_there, fallen
         share *= 0.5
     return unknowns, rows, 0.0
 
 
-def uncertainty(rows: Separations, estimated: Floats, norm: Norm) -> tuple[Floats, Floats]:
+def estimate_covariance(rows: ComparedDistances, estimated: Floats, norm: ObjectiveNorm) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
     E[sign sign] = 2/pi asin(correlation), taken to first order off the diagonal.
     """
-    design = rows.by_unknown @ estimated
+    design = rows.unknown_derivatives @ estimated
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
-        influence = -inverse @ np.asarray((rows.by_noise.T @ design).T)
+        influence = -inverse @ np.asarray((rows.noise_derivatives.T @ design).T)
         noise = estimated @ influence
         return noise @ noise.T, noise
-    spread = np.sqrt(np.asarray(rows.by_noise.multiply(rows.by_noise).sum(axis=1)).ravel())
+    spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
     scaled = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled)
-    carried = np.asarray((rows.by_noise.T @ scaled).T) * np.sqrt(2 / np.pi)
+    carried = np.asarray((rows.noise_derivatives.T @ scaled).T) * np.sqrt(2 / np.pi)
     score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated @ inverse @ score @ inverse.T @ estimated.T
     return covariance, estimated @ (-inverse @ carried)
 
 
-def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimates, held: Bools) -> tuple[str, ...]:
+def compare_with_minimum(
+    problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
+) -> tuple[str, ...]:
     """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
-    least = solve_equation_9(problem, norm, start=estimate.unknowns, held=held).objective
+    least = solve_equation_9(problem, norm, start=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
+    count = len(estimate.undetermined_combinations)
     return (
-        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.undetermined)} combinations left "
+        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here, with {count} combinations left "
         f"at zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
         "which fits these to the noise)",
     )

@@ -6,7 +6,7 @@ significant one is removed and the rest is tested again, so that two events do n
 
 Where the days between calibrations are known, part of that spread may grow with them (a random walk) and part may not
 (independent for each calibration): variance s^2 (1 - g + g days / median days). The p-value of a step is the mean over
-the values `SHARES` of g, weighted by the likelihood of the other steps.
+the values `TIME_GROWTH_FRACTIONS` of g, weighted by the likelihood of the other steps.
 """
 
 import numpy as np
@@ -18,13 +18,14 @@ from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
-LEAST_STEPS = 3
-"""Events are tested if there are at least this many steps: the t-test then has two degrees of freedom."""
-ENOUGH_STEPS = 5
-"""A step that is no event is reported as usual if there are at least this many: its spread then has four degrees of
-freedom."""
-SHARES = np.linspace(0.0, 1.0, 5)
-"""Shares of the variance of usual steps that grow with the days between them, averaged over by their likelihood."""
+MIN_STEPS_FOR_TEST = 3
+"""Number of steps between calibrations from which events are tested: the t-test then has two degrees of freedom."""
+MIN_STEPS_FOR_USUAL = 5
+"""Number of steps from which a step that is no event is reported as usual: the spread then has four degrees of freedom.
+"""
+TIME_GROWTH_FRACTIONS = np.linspace(0.0, 1.0, 5)
+"""Fractions of the variance of usual steps that grow with the days between calibrations; results are averaged over them
+by their likelihood."""
 
 
 class EventEntry(Entry):
@@ -40,62 +41,64 @@ class EventEntry(Entry):
     """Later minus earlier estimate."""
     sigma: NotNegative
     """Standard deviation of the difference."""
-    usual: NotNegative
+    usual_step_sigma: NotNegative
     """Standard deviation of its other steps from one calibration to the next, without that of the estimates."""
     unit: str
-    """Unit of `difference`, `sigma` and `usual`."""
+    """Unit of `difference`, `sigma` and `usual_step_sigma`."""
     p_value: Finite
     """p-value of the step, corrected for all steps and parameters."""
 
 
-def can_tell(history: CalibrationSeries) -> bool:
+def has_enough_steps(history: CalibrationSeries) -> bool:
     """True if there are enough steps to test them for events."""
-    return len(history) > LEAST_STEPS
+    return len(history) > MIN_STEPS_FOR_TEST
 
 
-def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
+def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
     """Significant steps in chronological order; empty if there are too few steps for a test.
 
     p-values are corrected for all steps and parameters (Bonferroni).
     """
-    if not can_tell(history):
+    if not has_enough_steps(history):
         return ()
     steps = [change.parameters for change in history.changes()]
     difference, sigma = (
         np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
     )
     tested = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
-    growth, looks = _growth(history), len(steps) * max(len(tested), 1)
-    each = {k: _steps(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested}
+    growth, looks = _relative_step_durations(history), len(steps) * max(len(tested), 1)
+    each = {k: _significant_steps_of(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested}
     significant = sorted((i, k, usual, p) for k, entries in each.items() for i, usual, p in entries)
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
-            name=history.construction.names[k],
+            name=history.construction.parameter_names[k],
             unit=history.construction.parameters[k].unit,
             difference=difference[i, k],
             sigma=sigma[i, k],
-            usual=usual,
+            usual_step_sigma=usual,
             p_value=min(1.0, p * looks),
         )
         for i, k, usual, p in significant
     )
 
 
-def _growth(history: CalibrationSeries) -> Floats:
+def _relative_step_durations(history: CalibrationSeries) -> Floats:
     """Days of each step divided by their median; ones if the days are unknown."""
     between = np.diff(history.days) if history.days is not None else np.zeros(0)
     middle = float(np.median(between)) if len(between) else 0.0
     return between / middle if middle > 0 else np.ones(len(history) - 1)
 
 
-def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> list[tuple[int, float, float]]:
+def _significant_steps_of(
+    difference: Floats, sigma: Floats, relative_durations: Floats, level: float
+) -> list[tuple[int, float, float]]:
     """Steps (K - 1,) of one parameter between calibrations that are significant: index, usual size, p-value."""
     usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
-    while usual.sum() > LEAST_STEPS - 1:
+    while usual.sum() > MIN_STEPS_FOR_TEST - 1:
         steps = np.flatnonzero(usual)
-        judged = [_judged(difference, sigma, growth, int(i), steps[steps != i]) for i in steps]
+        judged = [_step_p_value(difference, sigma, relative_durations, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))
         p, spread = judged[best]
         if p >= level:
@@ -105,12 +108,18 @@ def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> l
     return significant
 
 
-def _judged(difference: Floats, sigma: Floats, growth: Floats, step: int, others: Ints) -> tuple[float, float]:
+def _step_p_value(
+    difference: Floats, sigma: Floats, relative_durations: Floats, step: int, others: Ints
+) -> tuple[float, float]:
     """Two-sided p-value of a step against the spread of the others, and its usual size without estimation error."""
-    likelihood, chance, usual = np.zeros(len(SHARES)), np.zeros(len(SHARES)), np.zeros(len(SHARES))
-    for n, share in enumerate(SHARES):
-        shape = 1.0 - share + share * growth
-        scale = _scale(difference[others], sigma[others], shape[others])
+    likelihood, chance, usual = (
+        np.zeros(len(TIME_GROWTH_FRACTIONS)),
+        np.zeros(len(TIME_GROWTH_FRACTIONS)),
+        np.zeros(len(TIME_GROWTH_FRACTIONS)),
+    )
+    for n, share in enumerate(TIME_GROWTH_FRACTIONS):
+        shape = 1.0 - share + share * relative_durations
+        scale = _moment_variance(difference[others], sigma[others], shape[others])
         variance = sigma**2 + scale * shape
         gap = difference[others] ** 2 / variance[others] + np.log(variance[others] / sigma[others] ** 2)
         likelihood[n] = -0.5 * float(np.sum(gap))
@@ -121,24 +130,24 @@ def _judged(difference: Floats, sigma: Floats, growth: Floats, step: int, others
     return float(weight @ chance), float(np.sqrt(weight @ usual))
 
 
-def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
-    """Variance (>= 0) that, times `shape` and added to that of the estimates, makes chi-square the number of steps."""
+def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
+    """Variance (>= 0) of usual steps with which the expected chi-square equals the number of steps."""
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 
     def excess(variance: float) -> float:
-        return float(np.sum(difference**2 / (sigma**2 + variance * shape))) - len(difference)
+        return float(np.sum(difference**2 / (sigma**2 + variance * relative_variances))) - len(difference)
 
     if excess(0.0) <= 0:
         return 0.0
     highest = float(np.sum(difference**2))
     while excess(highest) > 0:  # steps without time between them have no growing variance
-        if highest > MOST * float(np.sum(difference**2)):
+        if highest > MAX_RELATIVE_VARIANCE * float(np.sum(difference**2)):
             return highest
         highest *= 10.0
     return float(brentq(excess, 0.0, highest, rtol=1e-6))
 
 
-MOST = 1e6
+MAX_RELATIVE_VARIANCE = 1e6
 """Largest variance that is tried, relative to the sum of squared steps: the search ends there if no finite one
 suffices.
 """

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import HarmonicEntry
 from ltsim.core import probability
@@ -15,29 +15,31 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE
 from ltsim.physics.effects.signature import Parameter
 
-DETERMINED = 0.25
-"""A combination is reported if its standard deviation over that of independent members is at most this: the recording
-determines it four times better than its members."""
-WHOLE = 1.2
-"""Members are added until the standard deviation is at most this factor above that of the whole eigenvector."""
-LEADING = 0.9
+MAX_SIGMA_RATIO_COMBINATION = 0.25
+"""Largest ratio of a combination's standard deviation to that of independent members at which it is reported: the
+recording determines it four times better than its members."""
+MAX_TRUNCATION_SIGMA_RATIO = 1.2
+"""Ratio to the standard deviation of the whole eigenvector up to which the smaller members of a combination are
+omitted."""
+MIN_LEADING_WEIGHT = 0.9
 """A combination is scaled to its first member whose weight exceeds this share of the largest."""
-DEFINED = 2.0
-"""A phase is reported if the amplitude exceeds this many of its standard deviations."""
-SIZES = np.array(list(probability.SIZE_PRIOR))
-LOG_WEIGHTS = np.log(np.array(list(probability.SIZE_PRIOR.values())))
+MIN_AMPLITUDE_FOR_PHASE = 2.0
+"""Amplitude, in its standard deviations, above which a phase is reported."""
+EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))
+"""Sizes of an effect, relative to a plausible one, over which the evidence is averaged."""
+LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
 """Logarithms of the prior probabilities of the sizes t relative to a plausible one."""
-FEW = 100
+MAX_SINGLE_CALL_ENTRIES = 100
 """Arrays of up to this many values are summed by one library call, larger ones by several vectorised calls."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
-_COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
+_COSINE_SUFFIX = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 
 @dataclass(frozen=True)
 class LikelihoodInformation:
     """Information of a calibration's readings without its prior, in units of common prior sigmas."""
 
-    remaining: Floats
+    posterior_covariance: Floats
     """Covariance of the estimates, (p, p)."""
     information: Floats
     """Inverse covariance minus that of the prior, (p, p); 0 for combinations with a gain below `UNINFORMATIVE`."""
@@ -52,7 +54,7 @@ def likelihood_information(
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
     shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
-    informative = 1.0 - shares > UNINFORMATIVE
+    informative = 1.0 - shares > MAX_UNINFORMATIVE_GAIN
     inverse = np.where(informative, 1.0 / np.where(informative, shares, 1.0), 0.0)
     basis = vectors / prior[:, None]
     information = (basis * np.where(informative, inverse - 1.0, 0.0)) @ basis.T
@@ -60,24 +62,24 @@ def likelihood_information(
     return LikelihoodInformation(0.5 * (remaining + remaining.T), information, information_vector)
 
 
-def score_test(information: Floats, surprise: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Score (p,) and information (p, p) of a change of each parameter in addition to a prior `variance` (p, p).
+def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
+    """Score (p,) and information (p, p) of a change of each parameter in addition to a prior `prior_covariance` (p, p).
 
-    `surprise` is `information_vector` less `information` times the expected parameters; score / weight[k, k] estimates
+    `score` is `information_vector` less `information` times the expected parameters; score / weight[k, k] estimates
     a change of parameter k alone, with the variance 1 / weight[k, k].
     """
-    keeps = np.linalg.inv(np.eye(len(surprise)) + information @ variance)
-    return keeps @ surprise, keeps @ information
+    keeps = np.linalg.inv(np.eye(len(score)) + information @ prior_covariance)
+    return keeps @ score, keeps @ information
 
 
-def forward_select(scores: Callable[[Collection[int]], Floats], least: float) -> dict[int, Floats]:
+def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
     """Forward selection with exchange: selected changes, and the `scores` (h,) given the others when each was selected.
 
-    A change is added while one scores more than `least`; after each addition every earlier one is replaced by the best
-    change given the others.
+    A change is added while one scores more than `min_score`; after each addition every earlier one is replaced by the
+    best change given the others.
     """
     selected: dict[int, Floats] = {}
-    while (values := scores(selected)).max(initial=-np.inf) > least:
+    while (values := scores(selected)).max(initial=-np.inf) > min_score:
         selected[int(np.argmax(values))] = values
         for previous in list(selected)[:-1]:
             values = scores([k for k in selected if k != previous])
@@ -86,7 +88,7 @@ def forward_select(scores: Callable[[Collection[int]], Floats], least: float) ->
     return selected
 
 
-def by_plausible_sizes(
+def with_plausible_priors(
     parameters: Sequence[Parameter], values: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
     """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
@@ -107,7 +109,9 @@ def by_plausible_sizes(
     return values, covariance
 
 
-def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
+def determined_combinations(
+    parameters: Sequence[Parameter], values: Floats, covariance: Floats
+) -> list[DeterminedEntry]:
     """Combinations determined far better than each of their members, from values (p,) and covariance (p, p) [SI].
 
     In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
@@ -117,7 +121,7 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
     entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
-        block, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
+        block, factor = covariance[np.ix_(at, at)], parameters[at[0]].si_per_display_unit
         alone = np.sqrt(np.diag(block))
         variances, vectors = np.linalg.eigh(block)
         for variance, vector in zip(variances, vectors.T, strict=True):
@@ -126,11 +130,11 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
                 members = np.sort(np.argsort(-np.abs(vector) * alone)[:count])
                 weights = vector[members]
                 sigma = float(np.sqrt(weights @ block[np.ix_(members, members)] @ weights))
-                if sigma <= WHOLE * np.sqrt(max(variance, 0.0)):
+                if sigma <= MAX_TRUNCATION_SIGMA_RATIO * np.sqrt(max(variance, 0.0)):
                     break
-            if count < 2 or sigma > DETERMINED * float(np.linalg.norm(weights * alone[members])):
+            if count < 2 or sigma > MAX_SIGMA_RATIO_COMBINATION * float(np.linalg.norm(weights * alone[members])):
                 continue
-            first = int(np.flatnonzero(np.abs(weights) > LEADING * np.abs(weights).max())[0])
+            first = int(np.flatnonzero(np.abs(weights) > MIN_LEADING_WEIGHT * np.abs(weights).max())[0])
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
             combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
             value, sigma = float(weights @ values[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
@@ -148,34 +152,34 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
     if amplitude > 0:
         along = coefficients / amplitude
         sigma = float(np.sqrt(along @ covariance @ along))
-        if amplitude > DEFINED * sigma:
+        if amplitude > MIN_AMPLITUDE_FOR_PHASE * sigma:
             across = np.array([-along[1], along[0]])
             phase_sigma = float(np.sqrt(across @ covariance @ across)) / amplitude
             return amplitude, sigma, float(np.arctan2(coefficients[1], coefficients[0])), phase_sigma
     return amplitude, float(np.sqrt(0.5 * np.trace(covariance))), None, None
 
 
-def cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Harmonics among parameters: name, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
-        match = _COSINE.match(name)
+        match = _COSINE_SUFFIX.match(name)
         if match:
             sine = f"{match['front']}sin{match['order']}"
             if sine in names:
                 yield match["front"].rstrip("-_") + match["order"], i, list(names).index(sine)
 
 
-def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[HarmonicEntry]:
+def harmonic_entries(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[HarmonicEntry]:
     """Amplitude and phase of every pair of a cosine and a sine coefficient; values (p,), covariance (p, p) [SI]."""
     entries = []
-    for name, *at in cosine_and_sine([p.name for p in parameters]):
+    for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]
         amplitude, sigma, phase, spread = amplitude_and_phase(values[at], covariance[np.ix_(at, at)])
         entries.append(
             HarmonicEntry(
                 name=name,
-                amplitude=amplitude / parameter.factor,
-                sigma=sigma / parameter.factor,
+                amplitude=amplitude / parameter.si_per_display_unit,
+                sigma=sigma / parameter.si_per_display_unit,
                 unit=parameter.unit,
                 phase_deg=None if phase is None else phase / DEGREE,
                 sigma_phase_deg=None if spread is None else spread / DEGREE,
@@ -187,7 +191,7 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
 def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity for none."""
     total: Floats
-    if values.size <= FEW:
+    if values.size <= MAX_SINGLE_CALL_ENTRIES:
         total = np.logaddexp.reduce(values, axis=axis)
         return total
     top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
@@ -196,26 +200,28 @@ def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
     return total
 
 
-def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS) -> tuple[Floats, Floats]:
+def size_weights_and_constants(
+    information_strength: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
+) -> tuple[Floats, Floats]:
     """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
-    scale = 1.0 + sizes**2 * np.asarray(strength)[..., None]
+    scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
 
 
-def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
+def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Floats, Floats]) -> Floats:
     """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
-    logs: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
+    logs: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[..., 0, :] + weights_and_constants[1]
     return logs
 
 
-def log_evidence(squares: Floats, strength: Floats) -> Floats:
+def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats:
     """Log marginal likelihood ratio (...), averaged over sizes.
 
     Parameters
     ----------
-    squares : (..., k) float
+    squared_scores : (..., k) float
         Squared scores z_j^2 along the eigenvectors.
-    strength : (..., k) float
+    information_strength : (..., k) float
         Eigenvalues d_j.
     """
-    return log_sum_exp(by_size(squares, forms_of(strength)), axis=-1)
+    return log_sum_exp(log_evidence_by_size(squared_scores, size_weights_and_constants(information_strength)), axis=-1)

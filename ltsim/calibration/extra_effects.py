@@ -11,145 +11,166 @@ from itertools import product
 import numpy as np
 
 from ltsim.adjustment import Adjustment
-from ltsim.adjustment.refit import Estimated, Refit, refit
+from ltsim.adjustment.refit import ParameterEstimate, Refit, refit_with_effects
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
-from ltsim.core.units import FACTOR
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.sizes import sizes_of
-from ltsim.physics.laws.words import describe, law_suffix
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.sizes import displayed_sizes
+from ltsim.physics.laws.words import law_suffix, regressor_text
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
-PLACES = ("stations", "targets")
-PASSES = 3
+PLACE_FIELDS = ("stations", "targets")
+"""Fields of an effect that hold its places."""
+MAX_REFIT_PASSES = 3
 """Largest number of passes in which outliers and noise are estimated again with the new constants."""
 
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """An effect or law to estimate; fields that are not `fixed` are chosen by the readings."""
+    """An effect or law to estimate; fields that are not `fixed_fields` are chosen by the readings."""
 
-    effect: Tunable
-    fixed: frozenset[str] = frozenset()
+    effect: CandidateEffect
+    """Effect with the requested places and constants."""
+    fixed_fields: frozenset[str] = frozenset()
+    """Names of the fields that the user gave; the readings select the others."""
 
-    def check(self, recording: Recording, construction: Construction) -> None:
+    def require_estimable(self, recording: Recording, construction: Construction) -> None:
         """Check that it can be estimated with the calibration of a recording; raises ModelError."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option('noise_from_data=True')} to estimate the noise"
             raise ModelError(f"{name} changes the noise, not the readings; {how}")
-        if isinstance(effect, Mistake):
+        if isinstance(effect, Blunder):
             raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")
         parameter_names = {p.name for p in effect.parameters}
-        if not effect.place and parameter_names <= set(construction.names):
+        if not effect.place_text and parameter_names <= set(construction.parameter_names):
             raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")
-        for kind, names in zip(PLACES, (recording.stations, recording.targets), strict=True):
+        for kind, names in zip(PLACE_FIELDS, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
-    def candidates(self, adjustment: Adjustment) -> Sequence[Tunable]:
+    def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
         """All instances of the effect that agree with the fixed fields."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
         same = [
             c
             for c in self.effect.candidates(adjustment.sightings)
-            if all(getattr(c, key) == getattr(self.effect, key) for key in self.fixed)
+            if all(getattr(c, key) == getattr(self.effect, key) for key in self.fixed_fields)
         ]
         if same:
             return same
-        free = [s for s in self.effect.shape if s.name not in self.fixed]
+        free = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
         grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free))
-        return [self.effect.reshaped(**dict(shape)) for shape in grids]
+        return [self.effect.with_constants(**dict(shape)) for shape in grids]
 
 
 def fit_with_extra_effects(
-    adjusted: Callable[[Sequence[Tunable]], Adjustment],
-    always: Sequence[Tunable],
+    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    unreported_effects: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """Adjustment with the requested effects, each chosen given those before, and the entry of each.
 
-    `always` effects are estimated first and are not reported.
+    `unreported_effects` effects are estimated first and are not reported.
     """
-    adjustment, fits = adjusted(always), list[FittedEffectEntry]()
-    fit, fixed = Refit(adjustment, tuple(always), ()), [frozenset[str]()] * len(always)
+    adjustment, fits = adjusted(unreported_effects), list[FittedEffectEntry]()
+    fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
     for wanted in extra_effects:
-        candidates, space = wanted.candidates(adjustment), ResidualSpace.of(adjustment)
-        best = max(candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.signature(effect)))))
-        freedom, before = space.chi2_drop(space.signature(best))[1], adjustment.chi2
+        candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
+        best = max(
+            candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_signature(effect))))
+        )
+        freedom, before = space.chi2_drop(space.whitened_signature(best))[1], adjustment.chi2
         if freedom:
-            fixed.append(wanted.fixed)
-            adjustment, fit = _settled(adjusted, [*fit.effects, best], fixed)
+            fixed.append(wanted.fixed_fields)
+            adjustment, fit = _refit_with_best_constants(adjusted, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
-        place = "" if isinstance(estimated, Law) and estimated.each else estimated.place
+        place = "" if isinstance(estimated, EmpiricalLaw) and estimated.is_per_setup else estimated.place_text
         drop = max(before - adjustment.chi2, 0.0)
-        name, tried = name_of(best, adjustment), len(candidates)
-        fits.append(FittedEffectEntry(effect=name, where=place, chi2_drop=drop, freedom=freedom, tried=tried))
-    first = len(always)
+        name, tried = effect_display_name(best, adjustment), len(candidates)
+        fits.append(
+            FittedEffectEntry(
+                effect=name, place_text=place, chi2_drop=drop, n_distinguishable_parameters=freedom, n_candidates=tried
+            )
+        )
+    first = len(unreported_effects)
     rows = (
-        _sizes(effect, adjustment) if isinstance(effect, Law) else _rows(effect, estimated, given)
+        _law_size_entries(effect, adjustment)
+        if isinstance(effect, EmpiricalLaw)
+        else _effect_entries(effect, estimated, given)
         for effect, estimated, given in zip(fit.effects[first:], fit.estimates[first:], fixed[first:], strict=True)
     )
     return adjustment, tuple(
-        entry.model_copy(update={"parameters": next(rows)}) if entry.freedom else entry for entry in fits
+        entry.model_copy(update={"parameters": next(rows)}) if entry.n_distinguishable_parameters else entry
+        for entry in fits
     )
 
 
-def _settled(
-    adjusted: Callable[[Sequence[Tunable]], Adjustment], effects: Sequence[Tunable], fixed: Sequence[frozenset[str]]
+def _refit_with_best_constants(
+    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    effects: Sequence[CandidateEffect],
+    fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects at their best constants, and the refit with its readings and weights."""
-    for _ in range(PASSES):
+    for _ in range(MAX_REFIT_PASSES):
         adjustment = adjusted(effects)
         near = adjustment.with_effects
-        fit = refit(near, effects, start=adjustment.state, fixed=fixed)
+        fit = refit_with_effects(near, effects, start=adjustment.state, fixed=fixed_fields)
         if fit.effects == tuple(effects):
             break
         effects = fit.effects
     return adjustment, fit
 
 
-def name_of(effect: Signature, adjustment: Adjustment) -> str:
+def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
-    if not isinstance(effect, Law):
+    if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    driver = describe(effect.driver, clock=adjustment.recording.has_clock)
-    return f"{effect.carrier.name} ~ {driver}{law_suffix(effect)}"
+    driver = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
+    return f"{effect.response.name} ~ {driver}{law_suffix(effect)}"
 
 
-def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
+def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Estimated sizes of a law among an adjustment's effects, one entry each."""
     before = adjustment.effects[: adjustment.effects.index(law)]
     first = sum(len(effect.parameters) for effect in before)
     columns = slice(first, first + len(law.parameters))
-    sizes = sizes_of(
-        law, adjustment.sightings, adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
+    sizes = displayed_sizes(
+        law,
+        adjustment.sightings,
+        adjustment.state.extra_parameters[columns],
+        adjustment.extra_covariance[columns, columns],
     )
     return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
 
 
-def _rows(effect: Tunable, estimates: Sequence[Estimated], fixed: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
+def _effect_entries(
+    effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
+) -> tuple[FittedParameterEntry, ...]:
     """Entries of an effect: parameters, kind, fixed constants, and estimated constants."""
-    numbers = [_row(*estimate) for estimate in estimates]
+    numbers = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
         for key, value in vars(effect).items()
         if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
-    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape if s.name in fixed]
+    given = [
+        _parameter_entry(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed_fields
+    ]
     count = len(effect.parameters)
     return (*numbers[:count], *words, *given, *numbers[count:])
 
 
-def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
+def _parameter_entry(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
     """A number in its unit."""
-    unit = FACTOR[parameter.unit]
+    unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)

@@ -2,17 +2,17 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.joint import COVARIANCE
-from ltsim.calibration.arrays import arrays_from
+from ltsim.adjustment.joint import COVARIANCE_FILE
+from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.reported import joint_csv
-from ltsim.calibration.schema import RESIDUALS, TARGETS
+from ltsim.calibration.reported import joint_covariance_csv
+from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.recordings.files import read_text, shown
+from ltsim.recordings.files import quoted_text, read_text
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
@@ -20,7 +20,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of `calibration.json`, `targets.csv` and, if there is a network, residuals and covariance into a folder.
+    """Output of `calibration.json`, `targets.csv` and, if there is a network, residuals and covariance into a folder.
 
     Returns the calibration with the digests of its files.
 
@@ -29,11 +29,11 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
     RecordError
         If the folder cannot be written; no partial files remain.
     """
-    texts = {TARGETS.file: calibration.table("targets").csv()}
+    texts = {TARGETS_TABLE.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
-        texts[RESIDUALS.file] = calibration.table("residuals").csv()
-        covariance = joint_csv(calibration)
-        texts |= {} if covariance is None else {COVARIANCE: covariance}
+        texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv()
+        covariance = joint_covariance_csv(calibration)
+        texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
     return write_result(folder, calibration, texts)
 
 
@@ -45,13 +45,13 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
     RecordError
         When a column is missing or a field is no number.
     """
-    table = TARGETS.parsed(read_text(file), file)
-    numbers = table.numbers(*TARGETS.header[1:]) * MILLIMETRE
+    table = TARGETS_TABLE.parse_csv(read_text(file), file)
+    numbers = table.numbers(*TARGETS_TABLE.header[1:]) * MILLIMETRE
     return tuple(table.column("target")), numbers[:, :3], numbers[:, 3:]
 
 
-def calibration_of(source: CalibrationSource) -> Calibration:
-    """Calibration of a source, read from its path if necessary."""
+def load_calibration(source: CalibrationSource) -> Calibration:
+    """Calibration of a source; a path is read."""
     return source if isinstance(source, Calibration) else read_calibration(Path(source))
 
 
@@ -68,26 +68,28 @@ def read_calibration(path: Path) -> Calibration:
     """
     file = path / Calibration.FILE if path.is_dir() else path
     calibration = read_result(file, Calibration)
-    _check_reflectors(calibration, file)
+    _check_reflector_parameters(calibration, file)
     given = calibration.parameters, calibration.parameter_covariance
-    arrays, missing = arrays_from(calibration.construction_name, *given, file)
-    return calibration.with_arrays(arrays, warnings=(*_missing(missing, file), *_rejected(calibration, file)))
+    arrays, missing = arrays_from_file_rows(calibration.construction_name, *given, file)
+    return calibration.with_arrays(
+        arrays, warnings=(*_missing_parameters_warning(missing, file), *_rejected_fit_warning(calibration, file))
+    )
 
 
-def _check_reflectors(content: Calibration, file: Path) -> None:
+def _check_reflector_parameters(content: Calibration, file: Path) -> None:
     """Check that parameters of reflectors are those of `smr-incidence` in their units; raises RecordError."""
     expected = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in content.reflectors:
         for row in entry.parameters:
             if row.name not in expected:
-                unknown = unknown_name("parameter of smr-incidence", shown(row.name), tuple(expected))
+                unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(expected))
                 raise RecordError(f"reflectors: {unknown}", file=file)
             if row.unit != expected[row.name] or isinstance(row.value, str):
-                problem = f"{shown(row.name)} is '{shown(str(row.value))} {shown(row.unit)}'"
+                problem = f"{quoted_text(row.name)} is '{quoted_text(str(row.value))} {quoted_text(row.unit)}'"
                 raise RecordError(f"reflectors: {problem}; expected a number in {expected[row.name]}", file=file)
 
 
-def _rejected(content: Calibration, file: Path) -> tuple[str, ...]:
+def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
     """Warning about a calibration whose fit was rejected; empty for others."""
     if content.uncertainty_factor == 1.0:
         return ()
@@ -98,7 +100,7 @@ def _rejected(content: Calibration, file: Path) -> tuple[str, ...]:
     )
 
 
-def _missing(names: list[str], file: Path) -> tuple[str, ...]:
+def _missing_parameters_warning(names: list[str], file: Path) -> tuple[str, ...]:
     """Warning about parameters that a file lacks; empty if there are none."""
     if not names:
         return ()

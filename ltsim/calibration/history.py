@@ -8,16 +8,16 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry, ChiSquareEntry
-from ltsim.calibration.events import EventEntry, events
-from ltsim.calibration.schema import Fit
+from ltsim.calibration.events import EventEntry, significant_steps
+from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Columns, Table, columns_of, texts
+from ltsim.core.results import Column, ColumnValues, Table, columns_of, texts
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
-class CourseEntry(Entry):
+class ParameterCourse(Entry):
     """Course of a parameter over the calibrations, in its display unit."""
 
     name: str
@@ -34,20 +34,20 @@ class CourseEntry(Entry):
     """Weighted mean of the estimates."""
     spread: Finite
     """Standard deviation over the calibrations."""
-    constant: ChiSquareEntry
+    constancy_test: ChiSquareEntry
     """Test that the parameter did not change."""
 
 
-class CalibrationOf(Entry):
-    """Calibration of a history."""
+class HistoryCalibration(Entry):
+    """Calibration in a history: its label and its fit."""
 
     label: str
     """Name of the calibration in the report."""
-    fit: Fit
+    fit: FitEntry
     """Agreement of readings and model."""
 
 
-CHANGES = Table(
+CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
@@ -57,7 +57,7 @@ CHANGES = Table(
         Column("p_value", "p-value of such differences without a change", "chance", title="p"),
     ),
 )
-COURSES = Table(
+COURSES_TABLE = Table(
     "parameters.csv",
     "parameters that the calibrations determine",
     (
@@ -70,7 +70,7 @@ COURSES = Table(
         Column("p_constant", "p-value of no change", "chance"),
     ),
 )
-FITS = Table(
+FITS_TABLE = Table(
     "fits.csv",
     "agreement of readings and model of each calibration",
     (
@@ -80,16 +80,16 @@ FITS = Table(
         Column("sigma0", "standard deviation of unit weight", digits=3),
     ),
 )
-EVENTS = Table(
+EVENTS_TABLE = Table(
     "events.csv",
     "steps of parameters that are outliers among their steps between calibrations",
     columns_of(
         EventEntry,
-        "from_ to name difference sigma usual unit p_value",
+        "from_ to name difference sigma usual_step_sigma unit p_value",
         from_={"name": "from"},
         name={"name": "parameter"},
         difference={"name": "step", "sigma": "sigma"},
-        usual={"name": "usual_step"},
+        usual_step_sigma={"name": "usual_step"},
         p_value={"kind": "chance", "title": "p"},
     ),
 )
@@ -103,9 +103,9 @@ class History(ResultFile):
     """Format and version of this file."""
     construction: str = ""
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
-    calibrations: tuple[CalibrationOf, ...] = Field(min_length=1)
+    calibrations: tuple[HistoryCalibration, ...] = Field(min_length=1)
     """Calibrations in chronological order."""
-    parameters: tuple[CourseEntry, ...] = ()
+    parameters: tuple[ParameterCourse, ...] = ()
     """Course of each parameter over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
     """Covariance of the means, in the parameters' units; combinations that no calibration determines have the prior."""
@@ -120,20 +120,20 @@ class History(ResultFile):
     _series: CalibrationSeries | None = PrivateAttr(None)
 
     @classmethod
-    def of(cls, series: CalibrationSeries) -> Self:
+    def from_series(cls, series: CalibrationSeries) -> Self:
         """Result of a series, with parameters in units of display."""
-        factors = np.array([p.factor for p in series.construction.parameters])
+        factors = np.array([p.si_per_display_unit for p in series.construction.parameters])
         made = cls(
             construction=series.construction.name,
             calibrations=tuple(
-                CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+                HistoryCalibration(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
                 for label, c in zip(series.labels, series.calibrations, strict=True)
             ),
-            parameters=tuple(_course(series, k) for k in range(series.construction.size)),
+            parameters=tuple(_parameter_course(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
-            constant=series.constancy(),
+            constant=series.constancy_test(),
             changes=tuple(series.changes()),
-            events=events(series),
+            events=significant_steps(series),
             since_first=series.change(0, len(series) - 1),
         )
         made._series = series
@@ -152,9 +152,9 @@ class History(ResultFile):
         return [calibration.label for calibration in self.calibrations]
 
     @property
-    def determined(self) -> list[CourseEntry]:
+    def determined_parameters(self) -> list[ParameterCourse]:
         """Parameters that the calibrations determine."""
-        return [course for course in self.parameters if course.constant.dof]
+        return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:
         since, labels = self.since_first, self.labels
@@ -163,25 +163,27 @@ class History(ResultFile):
             f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {format_p(since.p_value)}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
-            "values": lambda: self._by_calibration([course.values for course in self.parameters]),
-            "sigmas": lambda: self._by_calibration([course.sigmas for course in self.parameters]),
-            "changes": self._changes,
-            "events": lambda: EVENTS.filled(self.events),
-            "parameters": self._parameters,
-            "fits": lambda: FITS.filled([c.label, c.fit.chi2, c.fit.dof, c.fit.sigma0] for c in self.calibrations),
+            "values": lambda: self._table_by_calibration([course.values for course in self.parameters]),
+            "sigmas": lambda: self._table_by_calibration([course.sigmas for course in self.parameters]),
+            "changes": self._changes_table,
+            "events": lambda: EVENTS_TABLE.filled(self.events),
+            "parameters": self._parameters_table,
+            "fits": lambda: FITS_TABLE.filled(
+                [c.label, c.fit.chi2, c.fit.dof, c.fit.sigma0] for c in self.calibrations
+            ),
         }
 
-    def _by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> Columns:
+    def _table_by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter."""
         columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, numbers, strict=True)}
         return {"label": self.labels, **columns}
 
-    def _changes(self) -> Table:
+    def _changes_table(self) -> Table:
         """Changes from each calibration to the next, and from the first to the last."""
         every = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
-        return CHANGES.filled(
+        return CHANGES_TABLE.filled(
             [
                 c.from_,
                 c.to,
@@ -193,9 +195,10 @@ class History(ResultFile):
             for c in every
         )
 
-    def _parameters(self) -> Table:
-        return COURSES.filled(
-            [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constant.p_value] for p in self.determined
+    def _parameters_table(self) -> Table:
+        return COURSES_TABLE.filled(
+            [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constancy_test.p_value]
+            for p in self.determined_parameters
         )
 
     @model_validator(mode="after")
@@ -207,15 +210,15 @@ class History(ResultFile):
         return self
 
 
-def _course(series: CalibrationSeries, k: int) -> CourseEntry:
-    parameter, population = series.construction.parameters[k], series.population
-    return CourseEntry(
+def _parameter_course(series: CalibrationSeries, parameter_index: int) -> ParameterCourse:
+    parameter, population = series.construction.parameters[parameter_index], series.population
+    return ParameterCourse(
         name=parameter.name,
         unit=parameter.unit,
-        values=(series.values[:, k] / parameter.factor).tolist(),
-        sigmas=(series.sigma[:, k] / parameter.factor).tolist(),
-        prior_sigma=series.prior_sigma[k] / parameter.factor,
-        mean=population.mean[k] / parameter.factor,
-        spread=population.spread[k] / parameter.factor,
-        constant=series.constancy(k),
+        values=(series.estimates[:, parameter_index] / parameter.si_per_display_unit).tolist(),
+        sigmas=(series.sigma[:, parameter_index] / parameter.si_per_display_unit).tolist(),
+        prior_sigma=series.prior_sigma[parameter_index] / parameter.si_per_display_unit,
+        mean=population.mean[parameter_index] / parameter.si_per_display_unit,
+        spread=population.spread[parameter_index] / parameter.si_per_display_unit,
+        constancy_test=series.constancy_test(parameter_index),
     )

@@ -8,54 +8,59 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
-from ltsim.adjustment.identification import Selection, adapted, identified, outcomes
-from ltsim.adjustment.identification.tests import sentence_of
+from ltsim.adjustment.identification import CauseSelection, adjust_with_causes, cause_tests, identify_causes
+from ltsim.adjustment.identification.tests import cause_sentence
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
-from ltsim.adjustment.reference_tests import KINDS, SCALED
-from ltsim.adjustment.stochastic_model import Grouping
+from ltsim.adjustment.reference_tests import SCALE_DEPENDENT_KINDS, TESTED_REFERENCE_KINDS
+from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
-from ltsim.calibration.prior_conflict import UNEXPLAINED, disagreement, noise_overstated, prior_rejected
-from ltsim.calibration.prior_information import WIDE, Choice
-from ltsim.calibration.reported import reported, uncertainty_factor
-from ltsim.calibration.schema import Fit, VerdictEntry
-from ltsim.calibration.shrinkage import correction_of
+from ltsim.calibration.prior_conflict import (
+    MAX_SIGMA0_FOR_WIDENING,
+    contradicted_prior_mask,
+    is_noise_overstated,
+    prior_conflict_sentences,
+)
+from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, ParameterSelection
+from ltsim.calibration.reported import uncertainty_factor, with_reported_uncertainty
+from ltsim.calibration.schema import FitEntry, VerdictEntry
+from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.limits import CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import Construction, declared_construction, ideal
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.physics.effects.verbs import name_tuple
+from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
 
-PASSES = 5
-"""Largest number of adjustments until the noise and the set of widened priors no longer change."""
+MAX_ADJUSTMENTS = 5
+"""Largest number of adjustments in which the noise and the set of widened priors may still change."""
 
 
 def calibrate_network(
     recording: Recording,
     construction: Construction | None = None,
     *,
-    advise: bool = True,
+    recommend_measurements: bool = True,
     robust: bool = False,
     noise_from_data: bool = False,
     datum: Sequence[str] | None = None,
-    choice: Choice | None = None,
-    weigh: bool = True,
+    parameter_selection: ParameterSelection | None = None,
+    choose_correction: bool = True,
     extra_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
     """Method `network` of `ltsim.calibrate`, with its options and errors, and with additional options.
 
     Parameters
     ----------
-    choice : Choice, optional
+    parameter_selection : Choice, optional
         Parameters to estimate, and their prior; default all, with the prior of the set-up.
-    weigh : bool
+    choose_correction : bool
         Shrink the correction (`calibration.shrinkage`), widen the prior of constants that contradict it, and identify
         simple causes. Without it the model and the priors are the declared ones, and the estimates are linear in the
         readings.
@@ -64,18 +69,20 @@ def calibrate_network(
     """
     recording.require_at_most(CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
-    chosen = choice or Choice()
+    chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
-        wanted.check(recording, built)
-    modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
-    expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
-    prior, history_prior = chosen.over(expected, recording, built), chosen.prior is not None
-    freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
+        wanted.require_estimable(recording, built)
+    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
+    expected = expected_sigmas(recording, built) if choose_correction else prior_sigmas(recording, built)
+    prior, history_prior = chosen.prior_with_sigma(expected, recording, built), chosen.earlier_calibrations is not None
+    freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ = "", True
     # A simple cause could absorb an effect that the user requests.
-    selection = identified(recording, built, prior) if weigh and not extra_effects else None
-    for remaining in reversed(range(PASSES if weigh else 1)):
-        adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed), selection)
+    selection = identify_causes(recording, built, prior) if choose_correction and not extra_effects else None
+    for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
+        adjusted = partial(
+            _adjust_with_options, recording, built, robust, grouping, datum, prior.widened(freed), selection
+        )
         try:
             adjustment, fits = fit_with_extra_effects(adjusted, modes, extra_effects)
         except ConvergenceError:
@@ -84,29 +91,37 @@ def calibrate_network(
             # readings that scatter so little do not determine their noise
             grouping, quiet_by, noise_may_differ = None, "", False
             continue
-        further = freed if history_prior or chosen.free or not remaining else prior_rejected(adjustment, prior)
-        if remaining and noise_may_differ and grouping is None and noise_overstated(adjustment):
+        further = (
+            freed
+            if history_prior or chosen.has_no_prior or not remaining
+            else contradicted_prior_mask(adjustment, prior)
+        )
+        if remaining and noise_may_differ and grouping is None and is_noise_overstated(adjustment):
             grouping, quiet_by = "observable", f"{adjustment.sigma0:.2f}"
         elif np.array_equal(freed, further):
             break
         else:
             freed = further
-    tests = () if selection is None else outcomes(selection)
-    calibration = _calibration(
-        recording, adjustment, "network", advise=advise, robust=robust, effects=fits, tests=tests
+    tests = () if selection is None else cause_tests(selection)
+    calibration = _make_calibration(
+        recording, adjustment, "network", advise=recommend_measurements, robust=robust, effects=fits, tests=tests
     )
-    changes: dict[str, Any] = {"prior_sigma": prior.sigma, "prior_rejected": freed, "history_prior": history_prior}
-    if weigh:
-        wider = WIDE if chosen.free else None
-        factor = uncertainty_factor(calibration.fit, by_estimate=calibration.verdict.scale_by_sigma0)
-        worth, applied_values = correction_of(
-            adjustment, calibration.names, history_prior=history_prior, wider=wider, factor=factor
+    changes: dict[str, Any] = {"prior_sigma": prior.sigma, "is_prior_rejected": freed, "history_prior": history_prior}
+    if choose_correction:
+        wider = NO_PRIOR_SIGMA_FACTOR if chosen.has_no_prior else None
+        factor = uncertainty_factor(calibration.fit, is_noise_estimated=calibration.verdict.scale_by_sigma0)
+        worth, applied_values = recommend_correction(
+            adjustment,
+            calibration.instrument_parameter_names,
+            history_prior=history_prior,
+            prior_widening_factor=wider,
+            factor=factor,
         )
-        criteria = result.criteria_of(adjustment.recording, adjustment, built, applied_values)
+        criteria = result.criteria_table(adjustment.recording, adjustment, built, applied_values)
         changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
     calibration = calibration.with_changes(**changes)
     quiet = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
-    notes = [*calibration.notes, *([quiet] if quiet_by else []), *disagreement(calibration)]
+    notes = [*calibration.notes, *([quiet] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))
 
 
@@ -146,108 +161,118 @@ def adjust(
     >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
-    source = recording_of(recording)
-    chosen = None if datum is None else names(datum)
-    selection = identified(source)
-    adjustment = _adjusted(source, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
-    tests, constants = () if selection is None else outcomes(selection), _fit_with_constants(adjustment)
+    source = load_recording(recording)
+    chosen = None if datum is None else name_tuple(datum)
+    selection = identify_causes(source)
+    adjustment = _adjust_with_options(
+        source, ideal_construction(), robust, _noise_grouping(noise_from_data), chosen, selection=selection
+    )
+    tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
     how = {"robust": robust, "tests": tests, "with_constants": constants}
-    return reported(_calibration(source, adjustment, "adjustment", advise=False, **how))
+    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **how))
 
 
-def _fit_with_constants(adjustment: Adjustment) -> Fit | None:
+def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
     """Fit of rejected readings of uncorrected instruments with their constants estimated; None for others."""
     recording = adjustment.recording
-    if recording.is_corrected or _uncertainty_factor(adjustment) == 1.0:
+    if recording.is_corrected or _uncertainty_factor_of(adjustment) == 1.0:
         return None
     try:
         built = declared_construction(recording)
         fitted = adjusted_network(recording, built, effects=adjustment.effects, sigma=adjustment.problem.sigma)
     except LtsimError:
         return None
-    return result.fit_of(fitted) if fitted.solution.converged else None
+    return result.fit_entry(fitted) if fitted.solution.has_converged else None
 
 
-def _uncertainty_factor(adjustment: Adjustment) -> float:
-    return uncertainty_factor(result.fit_of(adjustment), by_estimate=result.verdict_of(adjustment).by_estimate)
+def _uncertainty_factor_of(adjustment: Adjustment) -> float:
+    return uncertainty_factor(
+        result.fit_entry(adjustment), is_noise_estimated=result.verdict_entry(adjustment).uses_estimated_noise
+    )
 
 
-def _grouping(noise_from_data: bool) -> Grouping | None:
+def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
     return "instrument" if noise_from_data else None
 
 
-def _adjusted(
+def _adjust_with_options(
     recording: Recording,
     construction: Construction,
     robust: bool,
-    grouping: Grouping | None,
+    grouping: NoiseGrouping | None,
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
-    selection: Selection | None = None,
+    selection: CauseSelection | None = None,
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    if selection is not None and selection.leads:
+    if selection is not None and selection.requires_initial_causes:
         fit = selection.fit
-        how["use"] = ~(fit.outliers & fit.is_gross)
-        adjustment = adapted(fit, recording, construction, fit.hypotheses, effects=effects, **how)
-        causes = tuple(sentence_of(fit, choice.hypothesis) for choice in selection.choices)
-        adjustment = replace(adjustment, causes=causes)
+        how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
+        adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
+        causes = tuple(cause_sentence(fit, choice.hypothesis) for choice in selection.selected_hypotheses)
+        adjustment = replace(adjustment, cause_sentences=causes)
         require_usable(adjustment)
-        return _in_frame(adjustment, datum)
-    how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
-    effects = (*effects, *(() if selection is None else selection.motions))
+        return _require_available_datum(adjustment, datum)
+    how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
+    effects = (*effects, *(() if selection is None else selection.certain_motions))
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    if adjustment.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in adjustment.rejected_references):
-        how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
+    if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
+        test.kind == "scale" for test in adjustment.rejected_references
+    ):
+        how["tested_kinds"] = (
+            TESTED_REFERENCE_KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
+        )
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
     require_usable(adjustment)
-    return _in_frame(adjustment, datum)
+    return _require_available_datum(adjustment, datum)
 
 
-def _in_frame(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
+def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
     """Adjustment; raises NetworkError for a requested datum in a network whose frame control points define."""
-    if datum and not adjustment.problem.free.shape[1]:
+    if datum and not adjustment.problem.free_motions.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return adjustment
 
 
-def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any) -> Calibration:
+def _make_calibration(
+    source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any
+) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
-    at = adjustment.problem.unknowns.instrument.ravel()
-    held = adjustment.problem.prior.held
+    at = adjustment.problem.unknowns.instrument_columns.ravel()
+    held = adjustment.problem.prior.is_fixed
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior.sigma
-    values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
+    values, directions = adjustment.state.instrument_parameters, result.undetermined_directions(covariance, prior)
     arrays = CalibrationArrays(
         construction=construction,
         instruments=recording.instruments,
-        values=values,
+        estimates=values,
         prior_sigma=prior,
         covariance=covariance,
-        held=held,
-        targets=recording.targets,
-        points=adjustment.state.points,
+        is_fixed=held,
+        target_names=recording.targets,
+        target_points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance,
         adjustment=adjustment,
     )
-    return Calibration.of(
+    return Calibration.from_arrays(
         arrays,
         method=method,
-        fit=result.fit_of(adjustment),
-        undetermined=result.undetermined_of(adjustment, construction, directions, advise=advise),
-        frame=result.frame_of(adjustment),
-        stations=result.stations_of(adjustment),
-        criteria=result.criteria_of(recording, adjustment, construction, values),
-        reflectors=result.reflectors_of(adjustment),
-        outliers=result.outliers_of(adjustment),
-        verdict=VerdictEntry.of(result.verdict_of(adjustment)),
-        noise=result.noise_of(adjustment),
-        reference_values=result.reference_values_of(adjustment),
+        fit=result.fit_entry(adjustment),
+        undetermined=result.undetermined_entries(adjustment, construction, directions, recommend_measurements=advise),
+        frame=result.frame_text(adjustment),
+        stations=result.station_poses(adjustment),
+        criteria=result.criteria_table(recording, adjustment, construction, values),
+        reflectors=result.reflector_entries(adjustment),
+        outliers=result.outlier_rows(adjustment),
+        verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment)),
+        noise=result.noise_rows(adjustment),
+        reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,
-        axes=result.axes_of(adjustment),
-        recording=SourceEntry.of(source),
-        notes=result.notes_on(adjustment),
+        axes=result.axes_entry(adjustment),
+        recording=SourceEntry.from_recording(source),
+        notes=result.network_notes(adjustment),
         **fields,
     )

@@ -14,12 +14,12 @@ from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
-from ltsim.core.units import FACTOR
-from ltsim.physics.model.construction import Construction, every_parameter_name
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.physics.model.construction import Construction, all_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
-WIDE = 1000.0
+NO_PRIOR_SIGMA_FACTOR = 1000.0
 """Factor on prior sigmas that represents no prior: 10 to 20 mm and 15 mrad, for which the linearisation is valid."""
 
 
@@ -28,67 +28,71 @@ class EarlierCalibrations:
     """Prior from earlier calibrations: values with their covariance, by names of instruments and parameters."""
 
     construction: str
+    """Name of the construction of the earlier calibrations."""
     parameters: tuple[str, ...]
+    """Names of the parameters."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single one applies to any instrument of a recording."""
     mean: Floats
     """Mean of the parameters, (I, p) [SI]."""
     covariance: Floats
     """Covariance of the parameters, (I, p, p) [SI]."""
-    spread: Floats
+    between_calibration_sigma: Floats
     """Standard deviation (p,) [SI] of the parameters between calibrations; 0 for a single calibration."""
-    count: int = 1
+    n_calibrations: int = 1
     """Number of calibrations."""
 
     @classmethod
-    def of(cls, source: Calibration | History | EarlierCalibrations | str | Path) -> EarlierCalibrations:
+    def from_source(cls, source: Calibration | History | EarlierCalibrations | str | Path) -> EarlierCalibrations:
         """Prior information from a calibration, a history, or the file of one; raises RecordError."""
         if isinstance(source, EarlierCalibrations):
             return source
         if isinstance(source, Calibration):
-            return cls._of_calibration(source)
+            return cls._from_calibration(source)
         if isinstance(source, History):
-            return cls._of_history(source)
+            return cls._from_history(source)
         path = Path(source)
         names = (Calibration.FILE, History.FILE)
         held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
         file = held[0] if path.is_dir() else path
         if str(read_json(file, Calibration.FILE).get("format", "")).startswith("ltsim-history/"):
-            return cls._of_history(read_result(file, History), file)
-        return cls._of_calibration(read_calibration(file))
+            return cls._from_history(read_result(file, History), file)
+        return cls._from_calibration(read_calibration(file))
 
     @classmethod
-    def _of_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
+    def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
         """Prior information of a calibration without its fixed parameters."""
-        free = np.flatnonzero(~calibration.held.any(axis=0) & (calibration.sigma > 0).all(axis=0))
-        count, size = calibration.values.shape
+        free = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
+        count, size = calibration.estimates.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
         covariances = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
-        names = tuple(calibration.construction.names[k] for k in free)
+        names = tuple(calibration.construction.parameter_names[k] for k in free)
         return cls(
             calibration.construction.name,
             names,
             calibration.instruments,
-            calibration.values[:, free],
+            calibration.estimates[:, free],
             covariances,
             np.zeros(len(free)),
         )
 
     @classmethod
-    def _of_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
+    def _from_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
         courses = content.parameters
-        strange = next((course for course in courses if course.unit not in FACTOR), None)
+        strange = next((course for course in courses if course.unit not in SI_PER_UNIT), None)
         if strange is not None:
             raise RecordError(f"parameters: unknown unit '{strange.unit}' of {strange.name}", file=file)
         if np.shape(content.mean_covariance) != (len(courses), len(courses)):
             raise RecordError("the file has no covariance of the means; write it again with `ltsim history`", file=file)
-        factor = np.array([FACTOR[course.unit] for course in courses])
+        factor = np.array([SI_PER_UNIT[course.unit] for course in courses])
         mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
         covariance = np.diag(spread**2) + np.array(content.mean_covariance) * np.outer(factor, factor)
         names = tuple(course.name for course in courses)
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
-    def over(self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
+    def replace_nominal_prior(
+        self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
+    ) -> ParameterPrior:
         """Prior of a recording's instruments: the earlier calibrations' if they contain the parameter, else `nominal`.
 
         Raises
@@ -96,13 +100,13 @@ class EarlierCalibrations:
         RecordError
             For another construction or other instruments.
         """
-        common = [name for name in construction.names if name in self.parameters]
+        common = [name for name in construction.parameter_names if name in self.parameters]
         if not common:
             raise RecordError(
                 f"the construction {self.construction} of the earlier calibrations has no parameter of "
                 f"{construction.name}"
             )
-        here = [construction.names.index(name) for name in common]
+        here = [construction.parameter_names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
         mean, covariance = nominal.mean.copy(), nominal.covariance.copy()
         for i, name in enumerate(instruments):
@@ -112,65 +116,73 @@ class EarlierCalibrations:
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
-        return ParameterPrior(mean, covariance, nominal.held)
+        return ParameterPrior(mean, covariance, nominal.is_fixed)
 
 
 @dataclass(frozen=True)
-class Choice:
+class ParameterSelection:
     """Selection of the parameters to estimate and of their prior; default all, with the prior of the set-up.
 
     A name means a parameter (`beam-tilt`), several with a common beginning (`azimuth-eccentricity`, `J1.eX`), or the
     parameter of one instrument (`beam-tilt@TRACKER`).
     """
 
-    parameters: Sequence[str] | None = None
+    estimated_parameters: Sequence[str] | None = None
     """Parameters to estimate; all others are fixed at zero. None for all."""
-    without: Sequence[str] = ()
+    excluded_parameters: Sequence[str] = ()
     """Parameters that are fixed at zero."""
-    hold: Mapping[str, float] = field(default_factory=dict)
+    fixed_values: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are fixed at a value, in the parameter's unit."""
-    prior: EarlierCalibrations | None = None
+    earlier_calibrations: EarlierCalibrations | None = None
     """Result of earlier calibrations that replaces the set-up's prior."""
-    free: bool = False
-    """True for no prior: standard deviations are then `WIDE` times those of the set-up."""
+    has_no_prior: bool = False
+    """True for no prior: standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times those of the set-up."""
 
-    def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
+    def prior_of(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """Resulting prior of a recording's instruments; raises ModelError, SetupError."""
-        return self.over(prior_sigmas(recording, construction), recording, construction)
+        return self.prior_with_sigma(prior_sigmas(recording, construction), recording, construction)
 
-    def over(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
+    def prior_with_sigma(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
         """Resulting prior of a recording's instruments for expected standard deviations (I, p) [SI]."""
-        check_names(recording, construction)
-        nominal = ParameterPrior.independent(sigma * (WIDE if self.free else 1.0))
-        if self.prior is not None:
-            nominal = self.prior.over(nominal, construction, recording.instruments)
+        check_prior_names(recording, construction)
+        nominal = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
+        if self.earlier_calibrations is not None:
+            nominal = self.earlier_calibrations.replace_nominal_prior(nominal, construction, recording.instruments)
 
         def places(*wanted: str) -> list[int]:
-            return [k for name in wanted for k in places_of(name, construction.names, recording.instruments)]
+            return [
+                k
+                for name in wanted
+                for k in flat_parameter_indices(name, construction.parameter_names, recording.instruments)
+            ]
 
         held = np.zeros(nominal.mean.shape, dtype=bool)
         values = np.zeros(nominal.mean.shape)
-        if self.parameters is not None:
+        if self.estimated_parameters is not None:
             held[:] = True
-            held.flat[places(*self.parameters)] = False
-        held.flat[places(*self.without)] = True
-        for name, value in self.hold.items():
+            held.flat[places(*self.estimated_parameters)] = False
+        held.flat[places(*self.excluded_parameters)] = True
+        for name, value in self.fixed_values.items():
             at = places(name)
-            if len({k % construction.size for k in at}) > 1:
+            if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             held.flat[at] = True
-            values.flat[at] = float(value) * construction.parameters[at[0] % construction.size].factor
+            values.flat[at] = (
+                float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
+            )
         if held.all():
             raise ModelError("all parameters are held; leave at least one to estimate")
         # Held parameters carry no information on the others.
-        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.size, dtype=bool)
+        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
         covariance[(held[:, :, None] | held[:, None, :]) & ~diagonal] = 0.0
         return ParameterPrior(np.where(held, values, nominal.mean), covariance, held)
 
 
-def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]) -> list[int]:
+def flat_parameter_indices(
+    parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
+) -> list[int]:
     """Indices in the flat vector (I p) of a parameter, or of several with a common beginning; raises ModelError."""
-    name, at, instrument = wanted.strip().partition("@")
+    name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:
         raise unknown_name("instrument", instrument, [label or "unnamed" for label in instruments])
     matches = [k for k, p in enumerate(parameters) if p == name]
@@ -181,12 +193,14 @@ def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]
     return [i * len(parameters) + k for i in chosen for k in matches]
 
 
-def check_names(recording: Recording, construction: Construction) -> None:
+def check_prior_names(recording: Recording, construction: Construction) -> None:
     """Check that all parameters with a prior in the set-up exist in a construction; raises SetupError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
-    parameter_names = {*construction.names, *every_parameter_name()}
+    parameter_names = {*construction.parameter_names, *all_parameter_names()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
             if name not in parameter_names:
-                raise SetupError(f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.names)}")
+                raise SetupError(
+                    f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.parameter_names)}"
+                )

@@ -8,69 +8,72 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.joint import MOST_TARGETS, covariance_csv
+from ltsim.adjustment.joint import MAX_TARGETS_IN_FILE, covariance_csv
 from ltsim.adjustment.unmodelled import (
     air_covariance,
-    counted_air,
     hidden_displacements,
     joint_air_covariance,
-    longest_sight,
+    longest_range,
+    relevant_air,
 )
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.schema import Fit, FittedEffectEntry, ReflectorEntry, StationPose
+from ltsim.calibration.schema import FitEntry, FittedEffectEntry, ReflectorEntry, StationPose
 from ltsim.calibration.uncertainty import HiddenError
 from ltsim.core.arrays import Floats
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 
-FittedT = TypeVar("FittedT", FittedEffectEntry, ReflectorEntry)
-MATTERS = 0.2
+FittedEntryType = TypeVar("FittedEntryType", FittedEffectEntry, ReflectorEntry)
+MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
 """Smallest displacement, relative to the targets' rms standard deviation, of a reported error without effect on the
 readings.
 """
 
 
-def uncertainty_factor(fit: Fit, *, by_estimate: bool | None = None) -> float:
+def uncertainty_factor(fit: FitEntry, *, is_noise_estimated: bool | None = None) -> float:
     """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
 
-    `by_estimate` is the verdict of the tests; without it the global test decides, at the level `AGREEMENT_LEVEL`.
+    `is_noise_estimated` is the verdict of the tests; without it the global test decides, at the level
+    `AGREEMENT_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
     rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
-    return fit.sigma0 if (rejected if by_estimate is None else by_estimate) else 1.0
+    return fit.sigma0 if (rejected if is_noise_estimated is None else is_noise_estimated) else 1.0
 
 
-def reported(calibration: Calibration) -> Calibration:
+def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     """Calibration with the reported standard deviations of its targets, stations and parameters."""
     verdict, adjustment = calibration.verdict, calibration.adjustment
-    factor = uncertainty_factor(calibration.fit, by_estimate=verdict.scale_by_sigma0 if verdict.case else None)
+    factor = uncertainty_factor(calibration.fit, is_noise_estimated=verdict.scale_by_sigma0 if verdict.case else None)
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
-    covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target)
-    stations = air_covariance(adjustment, unknowns.pose)
+    covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target_columns)
+    stations = air_covariance(adjustment, unknowns.pose_columns)
     return calibration.with_changes(
         covariance=_scaled_parameters(calibration, factor),
         target_covariance=covariance,
-        stations=tuple(_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)),
-        effects=tuple(_fitted(effect, factor) for effect in calibration.effects),
-        reflectors=tuple(_fitted(reflector, factor) for reflector in calibration.reflectors),
-        constants_included=bool(calibration.names) or adjustment.recording.is_corrected,
+        stations=tuple(
+            _scaled_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)
+        ),
+        effects=tuple(_scaled_fitted_entry(effect, factor) for effect in calibration.effects),
+        reflectors=tuple(_scaled_fitted_entry(reflector, factor) for reflector in calibration.reflectors),
+        constants_included=bool(calibration.instrument_parameter_names) or adjustment.recording.is_corrected,
         uncertainty_factor=factor,
-        air=_air_words(adjustment),
-        hidden=_hidden(adjustment, covariance),
+        air_text=_air_text(adjustment),
+        hidden_errors=_hidden_errors(adjustment, covariance),
     )
 
 
-def joint_csv(calibration: Calibration) -> str | None:
+def joint_covariance_csv(calibration: Calibration) -> str | None:
     """Content of `targets.covariance.csv`; None for many targets or without a network."""
     adjustment = calibration.adjustment
-    if adjustment is None or len(calibration.targets) > MOST_TARGETS:
+    if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
     added = joint_air_covariance(adjustment)
-    return covariance_csv(adjustment, factor=calibration.uncertainty_factor, added=added)
+    return covariance_csv(adjustment, factor=calibration.uncertainty_factor, added_covariance=added)
 
 
 def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
@@ -80,12 +83,12 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
     factor squared.
     """
     covariance, adjustment = calibration.covariance, calibration.adjustment
-    free = np.flatnonzero(~calibration.held.ravel())
+    free = np.flatnonzero(~calibration.is_fixed.ravel())
     if factor == 1.0 or not len(free) or adjustment is None:
         return covariance
     if calibration.method != "network":
         return factor**2 * covariance
-    root = block_diag(*adjustment.problem.prior.roots)[np.ix_(free, free)]
+    root = block_diag(*adjustment.problem.prior.whitening_matrices)[np.ix_(free, free)]
     size, basis = np.linalg.eigh(root @ covariance[np.ix_(free, free)] @ root.T)
     size = np.clip(size, np.finfo(np.float64).tiny, 1.0)
     wider = np.linalg.solve(root, basis * np.sqrt(1.0 / (1.0 + (1.0 / size - 1.0) / factor**2)))
@@ -94,9 +97,9 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
     return scaled
 
 
-def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
+def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
     """Pose with its standard deviations multiplied by a factor, and with the covariance (6, 6) of the air."""
-    air = np.sqrt(np.diag(added))
+    air = np.sqrt(np.diag(air_covariance))
     sizes = {}
     for name, unit, part in (
         ("sigma_position_mm", MILLIMETRE, air[:3]),
@@ -109,29 +112,29 @@ def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
     return pose.with_values(**sizes)
 
 
-def _fitted(entry: FittedT, factor: float) -> FittedT:
+def _scaled_fitted_entry(entry: FittedEntryType, factor: float) -> FittedEntryType:
     """Entry of fitted parameters with standard deviations multiplied by a factor."""
     parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
 
 
-def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
-    """Errors without effect on the readings that move targets by more than `MATTERS` of their standard deviation."""
+def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
+    """Errors without effect on the readings that move targets by a relevant part of their standard deviation."""
     variance = np.einsum("tii->t", covariance)
     determined = np.isfinite(variance)
     if not determined.any():
         return ()
     usual, sizes = np.sqrt(np.mean(variance[determined])), hidden_displacements(adjustment)
     return tuple(
-        HiddenError(source=name, target_error_um=size / MICROMETRE)
+        HiddenError(source_text=name, target_error_um=size / MICROMETRE)
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])
-        if size > MATTERS * usual
+        if size > MIN_RELATIVE_HIDDEN_DISPLACEMENT * usual
     )
 
 
-def _air_words(adjustment: Adjustment) -> str:
+def _air_text(adjustment: Adjustment) -> str:
     """Text of the errors of the air in the standard deviations; empty for short ranges or undeclared air."""
-    air = counted_air(adjustment)
+    air = relevant_air(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""
-    return air_words(air, longest_sight(adjustment))
+    return air_uncertainty_text(air, longest_range(adjustment))

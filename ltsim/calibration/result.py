@@ -5,17 +5,21 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.datum import about
-from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate
-from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.reference_tests import UNITS
-from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
-from ltsim.adjustment.verdict import Verdict, verdict
-from ltsim.calibration.combinations import Combination
+from ltsim.adjustment.datum import motions_about_centre
+from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteria
+from ltsim.adjustment.frame import DeclaredFrame
+from ltsim.adjustment.reference_tests import ERROR_UNITS
+from ltsim.adjustment.remedies.undetermined import (
+    ParameterCombination,
+    determining_sentences,
+    undetermined_combinations,
+)
+from ltsim.adjustment.verdict import Verdict, verdict_on
+from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.calibration.schema import (
-    SHOWN_UNITS,
+    DISPLAY_UNITS,
     AxesEntry,
-    Fit,
+    FitEntry,
     FittedParameterEntry,
     NoiseRow,
     OutlierRow,
@@ -28,63 +32,66 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.geometry.rotations import quaternion
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rotations import quaternion_from_matrix
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import smr_lift
+from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
-CONTRADICTS = 3.0
+MIN_CONTRADICTION_SIGMAS = 3.0
 """Deviation from the last position, in sigmas, above which a reading of an undetermined target is reported."""
-UP = np.array([False, False, True])
+HEIGHT_COMPONENT = np.array([False, False, True])
+"""Mask (3,) that selects the height of a point."""
 
 
-def fit_of(adjustment: Adjustment) -> Fit:
+def fit_entry(adjustment: Adjustment) -> FitEntry:
     """Fit statistics of an adjustment, with its status of convergence."""
     redundant = adjustment.dof > 0
     status = adjustment.solution.status
-    return Fit(
+    return FitEntry(
         chi2=adjustment.chi2,
         dof=adjustment.dof,
         sigma0=adjustment.sigma0 if redundant else None,
         p_value=adjustment.p_value if redundant else None,
-        iterations=adjustment.solution.iterations,
+        iterations=adjustment.solution.n_iterations,
         status=status.name.lower(),
         sentence=status.value,
         chi2_sigma=None,
     )
 
 
-def reflectors_of(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
+def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     """Estimated incidence errors of reflectors in fixed nests."""
     model, covariance = adjustment.problem.model, adjustment.extra_covariance
-    values, units = model.reflectors(adjustment.state.extra), SmrIncidence.parameters
+    values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
     entries = []
-    for error, at in zip(model.incidence, model.incidence_columns, strict=True):
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.root, covariance[at, at], error.root))
+    for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.covariance_root, covariance[at, at], error.covariance_root))
         cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
         parameters = tuple(
-            FittedParameterEntry(name=p.name, value=value / p.factor, sigma=spread / p.factor, unit=p.unit)
+            FittedParameterEntry(
+                name=p.name, value=value / p.si_per_display_unit, sigma=spread / p.si_per_display_unit, unit=p.unit
+            )
             for p, value, spread in cells
         )
         entries.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
     return tuple(entries)
 
 
-def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
+def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
     """Poses with standard deviations; `covariance` (S, 6, 6), default that of the adjustment."""
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
-    state, over = adjustment.state, adjustment.problem.marks.target
-    flat = (over >= 0) & adjustment.open_heights[over]
+    state, over = adjustment.state, adjustment.problem.marks.target_indices
+    flat = (over >= 0) & adjustment.undetermined_heights[over]
     return tuple(
         StationPose(
             name=name,
-            position_mm=np.where(flat[i] & UP, np.nan, state.position[i] / MILLIMETRE).tolist(),
-            rotation_quaternion=quaternion(state.rotation[i]).tolist(),
+            position_mm=np.where(flat[i] & HEIGHT_COMPONENT, np.nan, state.station_positions[i] / MILLIMETRE).tolist(),
+            rotation_quaternion=quaternion_from_matrix(state.station_rotations[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
         )
@@ -92,57 +99,65 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     )
 
 
-def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
+def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     """Gross pointings first, then other excluded readings, then outliers by the test that the verdict trusts."""
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
     def row(i: int, column: int, size: float, w: float, **more: Any) -> OutlierRow:
-        unit, factor = SHOWN_UNITS[column]
+        unit, factor = DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=size / factor, w=w, **named, **more)
 
     rows = []
-    for i in np.flatnonzero(adjustment.gross).tolist():
+    for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
         k = int(np.argmax(np.abs(scaled[i])))
         rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
-    single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
+    single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None] & _has_estimated_error(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
-    trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
-    return (*rows, *(row(o.row, o.observable, o.size, o.w, p_value=o.p_value) for o in trusted))
+    trusted = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
+    return (
+        *rows,
+        *(
+            row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
+            for o in trusted
+        ),
+    )
 
 
-def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
+def _has_estimated_error(adjustment: Adjustment, scaled: Floats) -> Bools:
     """Flags (n, 3) of the readings whose residual is an error.
 
     For an undetermined target those that contradict others.
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
-    untied = np.isin(recording.targets, adjustment.unconnected)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
+    untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > MIN_CONTRADICTION_SIGMAS))
 
 
-def verdict_of(adjustment: Adjustment) -> Verdict:
+def verdict_entry(adjustment: Adjustment) -> Verdict:
     """Verdict on the test to trust, with the global test at the level `AGREEMENT_LEVEL`."""
-    return verdict(adjustment, level=AGREEMENT_LEVEL)
+    return verdict_on(adjustment, level=AGREEMENT_LEVEL)
 
 
-def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
+def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     """Entries of the estimated noise, one per group."""
     problem, recording = adjustment.problem, adjustment.recording
     rows = []
-    for c in adjustment.components:
+    for c in adjustment.variance_components:
         if c.observable == "level":
-            unit, factor, sigmas = "arcsec", ARCSECOND, problem.levels.sigma
+            unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.sigma
         else:
             column = OBSERVABLES.index(c.observable)
-            unit, factor = SHOWN_UNITS[column]
+            unit, factor = DISPLAY_UNITS[column]
             names = np.array(recording.instruments)[recording.instrument]
-            sigmas = problem.sigma[problem.use[:, column] & ((names == c.instrument) | (c.instrument == "")), column]
+            sigmas = problem.sigma[
+                problem.used_readings[:, column] & ((names == c.instrument) | (c.instrument == "")), column
+            ]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
             rows.append(
@@ -150,75 +165,78 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                     observable=c.observable,
                     instrument=c.instrument,
                     factor=c.factor,
-                    factor_sigma=c.sigma,
+                    factor_sigma=c.factor_sigma,
                     redundancy=c.redundancy,
-                    typical=typical,
+                    typical_sigma=typical,
                     unit=unit,
                 )
             )
     return tuple(rows)
 
 
-def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
+def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
     """Entries of reference coordinates, lengths and levels with their tests, one per component."""
     entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
-        unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
-        is_scalar, is_tested = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+        unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
+        is_scalar, is_tested = (
+            len(test.error) == 1 and not test.declared_components,
+            bool(np.isfinite(test.sigma_error[k])),
+        )
         entry = ReferenceValueEntry(
             kind=test.kind,
             name=test.name,
-            component="" if is_scalar else (test.axes or "xy")[k],
+            component="" if is_scalar else (test.declared_components or "xy")[k],
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
             sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
             minimal_detectable=float(test.minimal_detectable[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
-            w=test.w,
-            excluded=test.excluded,
+            w=test.normalised_error,
+            excluded=test.is_excluded,
         )
         entries.append(entry)
     return tuple(entries)
 
 
-def axes_of(adjustment: Adjustment) -> AxesEntry | None:
+def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of axes that declared coordinates define, from their misfit to the network.
 
     None for others.
     """
-    used = [test for test in adjustment.axis_tests if not test.excluded]
+    used = [test for test in adjustment.axis_tests if not test.is_excluded]
     if not used:
         return None
-    places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
     centre = places.mean(axis=0)
-    free = about(adjustment.problem.free, centre)
-    motion = rigid_motion(places, centre) @ free
+    free = motions_about_centre(adjustment.problem.free_motions, centre)
+    motion = rigid_motion_design(places, centre) @ free
     misses = np.concatenate([test.residual for test in used])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
     return AxesEntry(
-        targets=tuple(test.name for test in used),
+        target_names=tuple(test.name for test in used),
         sigma_position_mm=(sigma[:3] / MILLIMETRE).tolist(),
         sigma_rotation_arcsec=(sigma[3:] / ARCSECOND).tolist(),
     )
 
 
-def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
+def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Notes on an adjusted network: its axes, its range zeros, a possible mirror image."""
-    kinds = (_notes_on_axes, notes_on_modes, _notes_on_hand, _notes_on_plan)
+    kinds = (_axes_notes, range_zero_notes, _handedness_notes, _undetermined_height_notes)
     return tuple(note for notes_of in kinds for note in notes_of(adjustment))
 
 
-def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
+def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the fit of the coordinates that only define the axes; empty without such coordinates."""
-    used = [test for test in adjustment.axis_tests if not test.excluded]
-    fitted = axes_of(adjustment)
+    used = [test for test in adjustment.axis_tests if not test.is_excluded]
+    fitted = axes_entry(adjustment)
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in used) / MILLIMETRE
     source = adjustment.recording.setup.axes
-    out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.excluded]
+    out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
@@ -229,76 +247,89 @@ def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     return (f"{sentence}; excluded from the datum: {listing(out)}" if out else sentence,)
 
 
-def frame_of(adjustment: Adjustment) -> str:
+def frame_text(adjustment: Adjustment) -> str:
     """Description of the coordinate frame."""
     problem, recording = adjustment.problem, adjustment.recording
-    free = problem.free.shape[1]
+    free = problem.free_motions.shape[1]
     first = recording.stations[0]
-    control_rows, flat = problem.control, adjustment.open_heights[problem.control.target]
-    control = [recording.targets[i] for i in control_rows.target[control_rows.axes[:, :2].any(axis=1) | ~flat]]
-    control += [problem.marks.names[i] for i in problem.mark_control.target]
-    levelled = [recording.stations[i] for i in problem.levels.station]
-    turned = [recording.stations[i] for i in problem.yaws.station]
+    control_rows, flat = problem.control_rows, adjustment.undetermined_heights[problem.control_rows.place_indices]
+    control = [
+        recording.targets[i]
+        for i in control_rows.place_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
+    ]
+    control += [problem.marks.mark_names[i] for i in problem.mark_control_rows.place_indices]
+    levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
+    turned = [recording.stations[i] for i in problem.yaw_rows.station_indices]
     zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []
-    zeros += [f"the known differences {listing(problem.differences.names)}"] if problem.differences.names else []
+    zeros += (
+        [f"the known differences {listing(problem.difference_rows.names)}"] if problem.difference_rows.names else []
+    )
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    rest = f"is {_free_axes(adjustment, first)}"
+    rest = f"is {_free_frame_text(adjustment, first)}"
     if adjustment.datum is not None:
-        rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
-    if free == 6 or not (points or zeros or not adjustment.open_heights.all()):
+        rest += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
+    if free == 6 or not (points or zeros or not adjustment.undetermined_heights.all()):
         return rest.removeprefix("is ")
-    if not control and not problem.differences.names:
+    if not control and not problem.difference_rows.names:
         return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
 
 
-def _free_axes(adjustment: Adjustment, first: str) -> str:
+def _free_frame_text(adjustment: Adjustment, first: str) -> str:
     """Description of the frame that fixes the motions which no observation determines."""
-    state, frame = adjustment.state, Frame.of(adjustment.recording)
-    if adjustment.datum is not None and _has_declared_places(adjustment):
+    state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
+    if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.axes
-        axes = "the axes and the scale" if len(adjustment.problem.structure.scale) else "the axes"
+        axes = "the axes and the scale" if len(adjustment.problem.structure.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
-    if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
+    if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"
 
 
-def _has_declared_places(adjustment: Adjustment) -> bool:
+def _has_declared_datum_points(adjustment: Adjustment) -> bool:
     """True if the set-up declares coordinates of targets of the datum."""
-    names = adjustment.datum.names if adjustment.datum is not None else ()
+    names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
 
 
-def undetermined_of(
-    adjustment: Adjustment, construction: Construction, directions: list[list[Direction]], *, advise: bool
-) -> tuple[Combination, ...]:
-    """Undetermined combinations of each instrument with names and, if `advise`, measurements that determine them."""
+def undetermined_entries(
+    adjustment: Adjustment,
+    construction: Construction,
+    undetermined_directions: list[list[ParameterCombination]],
+    *,
+    recommend_measurements: bool,
+) -> tuple[UndeterminedEntry, ...]:
+    """Undetermined combinations of each instrument, with the measurements that determine them on request."""
     instruments = adjustment.recording.instruments
-    nothing = [[""] * len(group) for group in directions]
-    sentences = determining(adjustment, construction, directions) if advise else nothing
+    nothing = [[""] * len(group) for group in undetermined_directions]
+    sentences = (
+        determining_sentences(adjustment, construction, undetermined_directions) if recommend_measurements else nothing
+    )
     combinations = []
-    for i, group in enumerate(directions):
-        names = construction.names_of(instruments)[i * construction.size :]
+    for i, group in enumerate(undetermined_directions):
+        names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
         for direction, cure in zip(group, sentences[i], strict=True):
-            combinations.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
+            combinations.append(
+                UndeterminedEntry(combination=direction.coefficients(names), gain=direction.gain, cure=cure)
+            )
     return tuple(combinations)
 
 
-def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Direction]]:
+def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
     """Undetermined directions of each instrument; covariance (I p, I p), prior sigmas (I, p)."""
     count, size = prior_sigma.shape
     if not size:
         return [[] for _ in range(count)]
     blocks = covariance.reshape(count, size, count, size)
-    return [undetermined(blocks[i, :, i], prior_sigma[i]) for i in range(count)]
+    return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(count)]
 
 
-def criteria_of(
+def criteria_table(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
 ) -> CriteriaEntry | None:
     """Criteria of the paper without excluded pointings; None if stations cannot be compared.
@@ -306,36 +337,36 @@ def criteria_of(
     After the correction the readings do not contain the estimated effects and the incidence errors of `reflectors`, as
     in `correct`. Other nuisance errors remain in them.
     """
-    use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
-    recording = _as_reference_smr(recording, adjustment)
+    use: Bools = np.asarray(~adjustment.is_rejected.any(axis=1))
+    recording = _recording_with_reference_smr(recording, adjustment)
     try:
-        if not construction.size:
-            return evaluate(recording, use=use)
+        if not construction.n_parameters:
+            return evaluate_criteria(recording, row_mask=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.effects_shift(adjustment.sightings, state.extra)
+        shift = model.effects_change(adjustment.sightings, state.extra_parameters)
         if reflectors and np.any(values):
-            shift += model.incidence_shift(adjustment.sightings, state.extra)
-        return evaluate(recording, construction, applied, shift=shift, use=use)
+            shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
+        return evaluate_criteria(recording, construction, applied, reading_changes=shift, row_mask=use)
     except NetworkError:
         return None
 
 
-def _as_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
+def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """Recording as measured with the reference SMR."""
-    off = smr_lift(recording)
+    off = smr_radius_offsets(recording)
     if off is None:
         return recording
     readings = recording.readings + exact_target_change(adjustment.sightings, -off)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
-def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
+def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the handedness of a network of ranges alone, if it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
-    if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
+    if recording.measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
         return ()
-    if Frame.of(recording).resolves_mirror(state.position, state.points):
+    if DeclaredFrame.from_recording(recording).resolves_mirror(state.station_positions, state.target_points):
         return ()
     return (
         "ranges alone do not distinguish a network from its mirror image; add approximate coordinates of a few targets "
@@ -343,20 +374,20 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     )
 
 
-def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
+def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
-    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.undetermined_heights)]
     if not names:
         return ()
     return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",)
 
 
-def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
+def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the range zeros if both distance meters were used."""
-    if MODE_COLUMN not in adjustment.recording.circumstances:
+    if MODE_COLUMN not in adjustment.recording.regressor_covariates:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
-    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.extra_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
     return (f"the interferometer's range zero less the absolute meter's, was estimated: {zero} (range-mode)",)

@@ -8,7 +8,7 @@ from scipy import special
 
 from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number, with_sigma
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.probability import format_p
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -23,16 +23,16 @@ from ltsim.recordings.result_file import (
     Vector,
 )
 
-SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
+DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of display of each column of the readings."""
 
-COORDINATES = (
+COORDINATE_COLUMNS = (
     *texts(target="name"),
     *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
-TARGETS = Table("targets.csv", "adjusted targets; undetermined ones have no row or no height", COORDINATES)
-RESIDUALS = Table(
+TARGETS_TABLE = Table("targets.csv", "adjusted targets; undetermined ones have no row or no height", COORDINATE_COLUMNS)
+RESIDUALS_TABLE = Table(
     "residuals.csv",
     "one row per observation in use",
     (
@@ -47,7 +47,7 @@ RESIDUALS = Table(
 )
 
 
-class Fit(Entry):
+class FitEntry(Entry):
     """Agreement of readings and model; the test is null without redundancy."""
 
     chi2: Finite = 0.0
@@ -150,7 +150,7 @@ class StationPose(Entry):
 class AxesEntry(Entry):
     """Standard deviations of the coordinate system that known points define, from their misfit to the network."""
 
-    targets: tuple[str, ...]
+    target_names: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""
     sigma_position_mm: Vector
     """Standard deviation of the position of the axes [mm], at the centroid of these targets."""
@@ -174,7 +174,7 @@ class OutlierRow(Entry):
     unit: str
     """Unit of the size."""
     w: Finite
-    """Normalised residual."""
+    """Normalised residual (statistic of the w-test)."""
     p_value: OptionalFloat = None
     """p-value, corrected for all readings, of the test that the verdict trusts; null for excluded readings."""
     gross: bool = False
@@ -223,10 +223,10 @@ class NoiseRow(Entry):
     """Standard deviation of the factor."""
     redundancy: Finite
     """Total redundancy of the group's readings."""
-    typical: Finite
+    typical_sigma: Finite
     """Median standard deviation of a reading."""
     unit: str = ""
-    """Unit of `typical`."""
+    """Unit of `typical_sigma`."""
 
 
 class VerdictEntry(Entry):
@@ -240,12 +240,14 @@ class VerdictEntry(Entry):
     """True if the estimated sigma0 is to be trusted and not the declared noise."""
 
     @classmethod
-    def of(cls, judged: Verdict) -> Self:
+    def from_verdict(cls, verdict: Verdict) -> Self:
         """The entry of a verdict."""
-        return cls(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate)
+        return cls(
+            case=verdict.agreement.value, sentence=verdict.sentence, scale_by_sigma0=verdict.uses_estimated_noise
+        )
 
 
-class Correction(Entry):
+class RecommendedCorrection(Entry):
     """Correction that is worth applying, and the error of new points that is expected with it."""
 
     prior_scale: Positive
@@ -269,10 +271,10 @@ class Correction(Entry):
         return math.hypot(self.uncorrected_um, self.noise_um), math.hypot(self.corrected_um, self.noise_um)
 
     @property
-    def line(self) -> str:
+    def error_text(self) -> str:
         """Text of the error of a new point without and with the correction."""
-        before, after = (number(error, 3) for error in self.point_errors_um)
-        noise = f"{number(self.noise_um, 3)} um of it is the measurement noise of that point"
+        before, after = (number_text(error, 3) for error in self.point_errors_um)
+        noise = f"{number_text(self.noise_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 
@@ -294,33 +296,37 @@ class FittedEffectEntry(Entry):
 
     effect: str
     """Name as in `ltsim effects`; for a law its text form as in a diagnosis: response ~ regressor."""
-    where: str = ""
+    place_text: str = ""
     """Stations and targets at which it acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
     """Parameters and constants of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square."""
-    freedom: int
+    n_distinguishable_parameters: int
     """Number of parameters that the recording distinguishes from the others."""
-    tried: int
+    n_candidates: int
     """Number of candidates: places and constants."""
 
     @property
     def p_value(self) -> float:
         """p-value of the decrease without the effect, corrected for all candidates."""
-        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
+        return (
+            min(1.0, self.n_candidates * float(special.chdtrc(self.n_distinguishable_parameters, self.chi2_drop)))
+            if self.n_distinguishable_parameters
+            else 1.0
+        )
 
     @property
     def sentence(self) -> str:
         """Sentence on the effect."""
-        name = self.effect + (f" at {self.where}" if self.where else "")
-        if not self.freedom:
+        name = self.effect + (f" at {self.place_text}" if self.place_text else "")
+        if not self.n_distinguishable_parameters:
             return f"{name}: poses, targets and parameters absorb it in this recording; it was not estimated"
         shown = ", ".join(
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
-        tried = f", the best of {self.tried}" if self.tried > 1 else ""
+        tried = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{tried})"
 
 
@@ -333,7 +339,7 @@ class ReflectorEntry(Entry):
     """Parameters of the effect `smr-incidence`."""
 
 
-PARAMETERS = Table(
+PARAMETERS_TABLE = Table(
     "parameters.csv",
     "estimates of the instrument's parameters, each in its unit",
     columns_of(
@@ -344,16 +350,16 @@ PARAMETERS = Table(
         name={"name": "parameter"},
     ),
 )
-REFERENCE_VALUES = Table(
+REFERENCE_VALUES_TABLE = Table(
     "reference_values.csv", "reference values, each tested by the rest", columns_of(ReferenceValueEntry)
 )
-OUTLIERS = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
-NOISE = Table(
+OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
+NOISE_TABLE = Table(
     "noise.csv",
     "noise estimated from the readings",
-    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
+    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical_sigma={"shown": ".3g"}),
 )
-REFLECTORS = Table(
+REFLECTORS_TABLE = Table(
     "reflectors.csv",
     "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
     (
@@ -361,7 +367,7 @@ REFLECTORS = Table(
         *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
     ),
 )
-PLACES = Table(
+STATION_COORDINATES_TABLE = Table(
     "places.csv",
     "coordinates as a page shows them",
     (
@@ -370,4 +376,6 @@ PLACES = Table(
         *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
     ),
 )
-STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
+STATIONS_TABLE = Table(
+    "stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATE_COLUMNS[1:])
+)

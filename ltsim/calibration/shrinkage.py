@@ -21,95 +21,98 @@ from scipy import special
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
-from ltsim.calibration.evidence import cosine_and_sine
-from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
-from ltsim.calibration.schema import Correction
+from ltsim.calibration.evidence import cosine_sine_pairs
+from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, sigma0_of_readings
+from ltsim.calibration.schema import RecommendedCorrection
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.recordings.recording import Recording
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 
-SCALES = np.geomspace(1e-4, 1e4, 161)
+PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior: steps of 12 %."""
-CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
+MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
 """Smallest excess of the maximum log-likelihood over that of the declared scale (1) at which this scale is rejected
 (likelihood ratio test).
 """
-PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
+MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
 """Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
-UNLIKELY = 30.0
+MAX_PRIOR_SCALE = 30.0
 """Prior scale above which the misfit has another cause than the instrument parameters: no instrument exceeds its
 specification so far in all of them.
 """
-NOTHING = 0.02
+MIN_RELATIVE_CORRECTION = 0.02
 """Smallest applied correction, relative to the estimate (rms effect on a point); a smaller one is not applied."""
-WORSE = 2.0
+MIN_HELD_OUT_IMPROVEMENT = 2.0
 """Decrease of the held-out sum of squares above which a term is not applied: Akaike's penalty of one parameter, 2 in
 units of chi-square.
 """
-LARGEST = 400
+MAX_DENSE_UNKNOWNS = 400
 """Largest number of poses and parameters of a network in which held-out targets are tested (cost of
 a dense inverse).
 """
-MOST_TARGETS = 150
-"""Largest number of held-out targets (cost); of more, an evenly distributed selection."""
-FEWEST = 5
+MAX_HELD_OUT_TARGETS = 150
+"""Largest number of held-out targets (run time); of more targets, an evenly distributed selection is held out."""
+MIN_PREDICTED_TARGETS = 5
 """Smallest number of mutually predicted targets for a test with held-out targets."""
 
 
-def correction_of(
+def recommend_correction(
     adjustment: Adjustment,
     names: Sequence[str],
     *,
     history_prior: bool = False,
-    wider: float | None = None,
+    prior_widening_factor: float | None = None,
     factor: float = 1.0,
-) -> tuple[Correction, Floats]:
+) -> tuple[RecommendedCorrection, Floats]:
     """Correction that is worth applying, and its values (I, p) [SI]; `names` (I p) are those of the parameters.
 
-    A prior widened by the factor `wider` represents no prior: its scale is then estimated in any case. With a prior
-    from earlier calibrations (`history_prior`) all terms are applied, since more than this recording's targets supports
-    them, and the estimated scale is 1 at least. `factor` multiplies the noise of the readings: in a rejected fit they
-    support a correction as far as their scatter allows.
+    A prior widened by the factor `prior_widening_factor` represents no prior: its scale is then estimated in any case.
+    With a prior from earlier calibrations (`history_prior`) all terms are applied, because more than the targets of
+    this recording supports them, and the estimated scale is 1 at least. `factor` multiplies the noise of the readings:
+    in a
+    rejected fit they support a correction as far as their scatter allows.
     """
     prior = adjustment.problem.prior
-    held, mean = prior.held.ravel(), prior.mean.ravel()
+    held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
     free = np.flatnonzero(~held)
     gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
     used = np.setdiff1d(free, gone)
-    root = block_diag(*prior.roots)[np.ix_(free, free)]
-    at = adjustment.problem.unknowns.instrument.ravel()[free]
+    root = block_diag(*prior.whitening_matrices)[np.ix_(free, free)]
+    at = adjustment.problem.unknowns.instrument_columns.ravel()[free]
     precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(at, at)] @ root.T)
-    vector = precision @ root @ (adjustment.state.instrument.ravel() - mean)[free]
+    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free]
     within = np.searchsorted(free, used)
-    unit = wider or 1.0
+    unit = prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
     information = (precision[np.ix_(within, within)] - np.eye(len(used))) / (factor * unit) ** 2
-    least, is_free = (1.0 if history_prior else 0.0), wider is not None
+    least, is_free = (1.0 if history_prior else 0.0), prior_widening_factor is not None
     rest = sigma0_of_readings(adjustment)
-    evidence = ScaledPrior(information, vector[within] / (factor**2 * unit), least=least, is_free=is_free, rest=rest)
-    by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
+    evidence = ScaledPrior(
+        information, vector[within] / (factor**2 * unit), min_scale=least, is_free=is_free, sigma0=rest
+    )
+    by_unit = spread.T @ point_error_form(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, middle)
-    before, after = evidence.errors(by_unit, applied, middle)
+    before, after = evidence.point_errors(by_unit, applied, middle)
     not_applied = tuple(names[k] for k in gone)
-    notes = [n for n in (evidence.doubt, note) if n]
+    notes = [n for n in (evidence.scale_sentence, note) if n]
     if not_applied:
         words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     values = mean * held
     values[used] = spread @ applied
-    correction = Correction(
-        prior_scale=evidence.scale,
-        plausible_scale=evidence.plausible,
+    correction = RecommendedCorrection(
+        prior_scale=evidence.most_likely_scale,
+        plausible_scale=evidence.plausible_scale_limits,
         uncorrected_um=before / MICROMETRE,
         corrected_um=after / MICROMETRE,
-        noise_um=point_noise(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
+        noise_um=point_noise_rms(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
         not_applied=not_applied,
         sentences=tuple(notes),
     )
@@ -137,64 +140,73 @@ class ScaledPrior:
         information: Floats,
         information_vector: Floats,
         *,
-        least: float = 0.0,
+        min_scale: float = 0.0,
         is_free: bool = False,
-        rest: float = 1.0,
+        sigma0: float = 1.0,
     ) -> None:
-        self._is_free, self._rest = is_free, rest
+        self._is_free, self._sigma0 = is_free, sigma0
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
-        self._scales = SCALES[0.99 * least < SCALES]
+        self._scales = PRIOR_SCALES[0.99 * min_scale < PRIOR_SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
         gain = self._scales[:, None] ** 2 * self._information_vector**2 / ratio
-        self._likelihood = 0.5 * np.sum(gain - np.log(ratio), axis=1)
-        self._best = int(np.argmax(self._likelihood))
+        self._log_likelihoods = 0.5 * np.sum(gain - np.log(ratio), axis=1)
+        self._best_index = int(np.argmax(self._log_likelihoods))
 
     @property
-    def scale(self) -> float:
+    def most_likely_scale(self) -> float:
         """Most likely scale."""
-        return float(self._scales[self._best])
+        return float(self._scales[self._best_index])
 
     @property
-    def plausible(self) -> tuple[float, float]:
+    def plausible_scale_limits(self) -> tuple[float, float]:
         """Smallest and largest plausible scale."""
-        near = np.flatnonzero(self._likelihood > self._likelihood[self._best] - PLAUSIBLE)
+        near = np.flatnonzero(
+            self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE
+        )
         return float(self._scales[near[0]]), float(self._scales[near[-1]])
 
     @property
-    def contradicts(self) -> bool:
+    def rejects_declared_scale(self) -> bool:
         """True if the readings reject the declared scale."""
         nominal = int(np.argmin(np.abs(np.log(self._scales))))
-        return bool(self._likelihood[self._best] - self._likelihood[nominal] > CONTRADICTS)
+        return bool(
+            self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal]
+            > MIN_LOG_LIKELIHOOD_EXCESS_REJECTED
+        )
 
     @property
-    def _is_something_else(self) -> bool:
-        most = UNLIKELY if self._rest < UNEXPLAINED else 1.0
-        return self.contradicts and not self._is_free and self.scale > most
+    def _exceeds_plausible_scale(self) -> bool:
+        most = MAX_PRIOR_SCALE if self._sigma0 < MAX_SIGMA0_FOR_WIDENING else 1.0
+        return self.rejects_declared_scale and not self._is_free and self.most_likely_scale > most
 
     @property
-    def followed(self) -> float:
+    def scale_of_applied_values(self) -> float:
         """Scale of the applied values: 1 unless the readings reject it."""
-        return self.scale if (self.contradicts and not self._is_something_else) or self._is_free else 1.0
+        return (
+            self.most_likely_scale
+            if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_free
+            else 1.0
+        )
 
     @property
-    def doubt(self) -> str:
+    def scale_sentence(self) -> str:
         """Sentence on a rejected or estimated scale; empty without either."""
-        if not (self.contradicts or self._is_free):
+        if not (self.rejects_declared_scale or self._is_free):
             return ""
-        low, high = self.plausible
-        likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
-        if self._is_something_else:
-            contradict = f" and contradict each other by {self._rest:.2g} times their noise"
-            why = ", which no instrument has" if self.scale > UNLIKELY else contradict
+        low, high = self.plausible_scale_limits
+        likely = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        if self._exceeds_plausible_scale:
+            contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
+            why = ", which no instrument has" if self.most_likely_scale > MAX_PRIOR_SCALE else contradict
             return (
-                f"the readings require parameters {self.scale:.2g} times the declared priors{why}: "
+                f"the readings require parameters {self.most_likely_scale:.2g} times the declared priors{why}: "
                 "another cause explains the misfit, and no correction is applied"
             )
         if not self._is_free:
             return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
-        share = self._strength / (self._strength + self.scale**-2)
+        share = self._strength / (self._strength + self.most_likely_scale**-2)
         applied = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
         return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
 
@@ -202,34 +214,41 @@ class ScaledPrior:
         """Estimate (q,) under a scale."""
         return self._basis @ (self._information_vector / (self._strength + scale**-2))
 
-    def shrunk_correction(self, by_unit: Floats, middle: Floats | float = 0.0) -> tuple[Floats, str]:
+    def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
         """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
 
-        `by_unit` (q, q) is the mean square of a new point's error as a form of the parameters' errors, `middle` (q,)
-        the prior's mean.
+        `point_error_form` (q, q) is the mean square of a new point's error as a form of the parameters' errors,
+        `prior_mean` (q,) the prior's mean.
         """
-        if self._is_something_else:
+        if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
-        full, cautious = middle + self.estimate(self.followed), middle + self.estimate(self.plausible[0])
-        if full @ by_unit @ (full - 2.0 * cautious) <= 0.0:
+        full, cautious = (
+            prior_mean + self.estimate(self.scale_of_applied_values),
+            prior_mean + self.estimate(self.plausible_scale_limits[0]),
+        )
+        if full @ point_error_form @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
-        share = float(np.sqrt((cautious @ by_unit @ cautious) / (full @ by_unit @ full)))
-        if share < NOTHING:
+        share = float(np.sqrt((cautious @ point_error_form @ cautious) / (full @ point_error_form @ full)))
+        if share < MIN_RELATIVE_CORRECTION:
             return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
         limit = "more is likely to increase the errors of new points"
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
-    def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
+    def point_errors(
+        self, point_error_form: Floats, applied: Floats, prior_mean: Floats | float = 0.0
+    ) -> tuple[float, float]:
         """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
-        scale = self.followed
-        mean = middle + self.estimate(scale)
+        scale = self.scale_of_applied_values
+        mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
-        rest = float(np.sum(spread * by_unit))
+        rest = float(np.sum(spread * point_error_form))
         missed = mean - applied
-        return float(np.sqrt(mean @ by_unit @ mean + rest)), float(np.sqrt(missed @ by_unit @ missed + rest))
+        return float(np.sqrt(mean @ point_error_form @ mean + rest)), float(
+            np.sqrt(missed @ point_error_form @ missed + rest)
+        )
 
 
-def point_noise(recording: Recording, sigma: Floats) -> float:
+def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
     whole = recording.measured.all(axis=1)
     if not whole.any():
@@ -239,14 +258,14 @@ def point_noise(recording: Recording, sigma: Floats) -> float:
     return float(np.sqrt(np.mean(along**2 + across**2 + (range_ * above) ** 2)))
 
 
-def point_errors(adjustment: Adjustment) -> Floats:
+def point_error_form(adjustment: Adjustment) -> Floats:
     """Mean square error of a point as a quadratic form (I p, I p) of the parameters' errors [m^2 / SI^2].
 
     The mean is over the pointings of each set-up, in the frame of the instrument; the part that a rigid motion of the
     set-up explains is removed, because it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
-    count, size = state.instrument.shape
+    count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
     whole = recording.measured.all(axis=1)
     for number in range(len(recording.stations)):
@@ -254,9 +273,9 @@ def point_errors(adjustment: Adjustment) -> Floats:
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
-        readings, values = recording.readings[rows], state.instrument[instrument]
+        readings, values = recording.readings[rows], state.instrument_parameters[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
-        error = without_rigid_motion(by_value.reshape(-1, size), points)
+        error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
     return total / max(int(whole.sum()), 1)
@@ -272,21 +291,27 @@ class HeldOutTarget:
     parameters. All matrices are m x m or p x p: one adjustment is sufficient for all targets and terms.
     """
 
-    residual: Floats
+    held_out_residual: Floats
     """Held-out residual S r, (m,)."""
-    by_parameter: Floats
+    parameter_covariance: Floats
     """Covariance S B' of the prediction with the parameters, B = C A', (m, q)."""
     covariance: Floats
     """Covariance of the parameters from the other targets, (q, q)."""
-    shift: Floats
+    estimate_shift: Floats
     """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
 
-    def squares(self, values: Floats, fixed: Ints) -> float:
-        """Sum of squares with the parameters `fixed` at zero; `values` (q,) are the estimates from all readings."""
-        if not len(fixed):
-            return float(self.residual @ self.residual)
-        moved = np.linalg.solve(self.covariance[np.ix_(fixed, fixed)], self.shift[fixed] - values[fixed])
-        residual = self.residual - self.by_parameter[:, fixed] @ moved
+    def sum_of_squares(self, values: Floats, fixed_indices: Ints) -> float:
+        """Sum of squares with the parameters `fixed_indices` at zero.
+
+        `values` (q,) are the estimates from all readings.
+        """
+        if not len(fixed_indices):
+            return float(self.held_out_residual @ self.held_out_residual)
+        moved = np.linalg.solve(
+            self.covariance[np.ix_(fixed_indices, fixed_indices)],
+            self.estimate_shift[fixed_indices] - values[fixed_indices],
+        )
+        residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ moved
         return float(residual @ residual)
 
 
@@ -298,31 +323,31 @@ def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
-    if unknowns.n_reduced > LARGEST:
+    if unknowns.n_reduced > MAX_DENSE_UNKNOWNS:
         return none
     targets = held_out_targets(adjustment)
-    if len(targets) < FEWEST:
+    if len(targets) < MIN_PREDICTED_TARGETS:
         return none
-    values = adjustment.state.instrument.ravel()
-    gone, now = none, sum(t.squares(values, none) for t in targets)
-    candidates = _terms(adjustment)
+    values = adjustment.state.instrument_parameters.ravel()
+    gone, now = none, sum(t.sum_of_squares(values, none) for t in targets)
+    candidates = _informative_terms(adjustment)
     while candidates:
         tried = [np.concatenate([gone, term]) for term in candidates]
-        after = [sum(t.squares(values, fixed) for t in targets) for fixed in tried]
+        after = [sum(t.sum_of_squares(values, fixed) for t in targets) for fixed in tried]
         best = int(np.argmin(after))
-        if now - after[best] <= WORSE * factor**2:
+        if now - after[best] <= MIN_HELD_OUT_IMPROVEMENT * factor**2:
             break
         gone, now = tried[best], after[best]
         del candidates[best]
     return np.sort(gone)
 
 
-def _terms(adjustment: Adjustment) -> list[Ints]:
+def _informative_terms(adjustment: Adjustment) -> list[Ints]:
     """Indices of each estimated term with information: a cosine with its sine, or a single parameter."""
-    prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
+    prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
-    open_ = ~prior.held.ravel() & (remaining < 1.0 - UNINFORMATIVE)
-    sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
+    open_ = ~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN)
+    sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
     each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
     chosen = [[k for k in term if open_[k]] for term in terms]
@@ -336,29 +361,35 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.n_reduced
-    control_targets = np.repeat(problem.control.target, problem.control.axes.sum(axis=1))
-    lengths = np.full(len(problem.gauge), -1)
-    row_target = np.concatenate([adjustment.recording.target[np.nonzero(problem.use)[0]], lengths, control_targets])
-    eliminated = np.flatnonzero(unknowns.target[:, 0] >= n_reduced)
-    eliminated = eliminated[:: max(1, -(-len(eliminated) // MOST_TARGETS))]
+    control_targets = np.repeat(
+        problem.control_rows.place_indices, problem.control_rows.declared_components.sum(axis=1)
+    )
+    lengths = np.full(len(problem.gauge_rows), -1)
+    row_target = np.concatenate(
+        [adjustment.recording.target[np.nonzero(problem.used_readings)[0]], lengths, control_targets]
+    )
+    eliminated = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
+    eliminated = eliminated[:: max(1, -(-len(eliminated) // MAX_HELD_OUT_TARGETS))]
     held_out = []
     for target in eliminated.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
-            design = as_dense(system.design[rows])
-            reduced = _without(design[:, unknowns.target[target]], design[:, :n_reduced], system.residual[rows])
-            held_out.append(_held_out(adjustment, *reduced))
+            design = to_dense(system.design[rows])
+            reduced = _eliminate_target(
+                design[:, unknowns.target_columns[target]], design[:, :n_reduced], system.whitened_residuals[rows]
+            )
+            held_out.append(_hold_out_target(adjustment, *reduced))
     return held_out
 
 
-def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
+def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
     """Design (m, K) and residual (m,) of a target's rows after elimination of its place (m, 3)."""
-    basis = np.linalg.qr(place)[0]
+    basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
-def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
-    covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument.ravel()
+def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
+    covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = alone @ spread[at].T

@@ -2,14 +2,14 @@
 
 from typing import Protocol
 
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
 class HiddenError(Entry):
     """Error without effect on the readings, which no standard deviation includes."""
 
-    source: str
+    source_text: str
     """Text of the error, with its size."""
     target_error_um: NotNegative
     """Rms displacement [um] of the targets by it, after the best rigid fit."""
@@ -22,45 +22,47 @@ class UncertaintyEntry(Entry):
     """True if the instrument's constants were estimated, or the set-up declares the instrument corrected."""
     uncertainty_factor: Positive = 1.0
     """Factor in all standard deviations and covariances: sigma0 if the readings contradict the model, else 1."""
-    air: str = ""
+    air_text: str = ""
     """Text of the errors of the air in the standard deviations of targets and stations; empty for short ranges."""
-    hidden: tuple[HiddenError, ...] = ()
+    hidden_errors: tuple[HiddenError, ...] = ()
     """Errors without effect on the readings that matter, the largest first; no standard deviation includes them."""
 
 
-class UncertaintyBasis(Protocol):
+class ReportedUncertainty(Protocol):
     """Interface of a calibration: fields on the errors that its standard deviations include."""
 
     @property
     def uncertainty_factor(self) -> float: ...  # noqa: D102
     @property
-    def air(self) -> str: ...  # noqa: D102
+    def air_text(self) -> str: ...  # noqa: D102
     @property
-    def hidden(self) -> tuple[HiddenError, ...]: ...  # noqa: D102
+    def hidden_errors(self) -> tuple[HiddenError, ...]: ...  # noqa: D102
     @property
     def constants_included(self) -> bool: ...  # noqa: D102
 
 
-def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
+def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
     """Sentences on the standard deviations of a result: their factor, the air in them, and errors beyond them."""
     sentences = []
     if result.uncertainty_factor > 1.0:
         sentences.append(
             "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
-            f"{number(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
+            f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
             "The standard deviations do not include errors of the instrument: its constants were not estimated. Use "
             "ltsim calibrate, or declare the instrument corrected."
         )
-    if result.air:
+    if result.air_text:
         sentences.append(
-            f"The standard deviations of targets and stations include the {result.air}. Change it as [air] of the "
+            f"The standard deviations of targets and stations include the {result.air_text}. Change it as [air] of the "
             "set-up."
         )
-    if result.hidden:
-        sizes = "; ".join(f"{error.source}: {number(error.target_error_um, 2)} um (rms)" for error in result.hidden)
+    if result.hidden_errors:
+        sizes = "; ".join(
+            f"{error.source_text}: {number_text(error.target_error_um, 2)} um (rms)" for error in result.hidden_errors
+        )
         sentences.append(
             f"The readings do not show the following errors of the targets, and the standard deviations do not include "
             f"them: {sizes}."

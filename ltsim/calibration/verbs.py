@@ -5,27 +5,32 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
+from ltsim.adjustment.evaluation import (
+    Criteria,
+    evaluate_criteria as criteria_of,
+    read_nominal,
+    verify_against_nominal as verified,
+)
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
-from ltsim.calibration.correct import incidence_change
-from ltsim.calibration.distance import METHODS, calibrate_distance
+from ltsim.calibration.correct import incidence_correction_change
+from ltsim.calibration.distance import DISTANCE_METHODS, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
-from ltsim.calibration.files import CalibrationSource, calibration_of, read_calibration
+from ltsim.calibration.files import CalibrationSource, load_calibration, read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import Choice, EarlierCalibrations
-from ltsim.calibration.reported import reported
+from ltsim.calibration.prior_information import EarlierCalibrations, ParameterSelection
+from ltsim.calibration.reported import with_reported_uncertainty
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import Sized, each_of, effect_from, names
-from ltsim.physics.laws.words import read_law
-from ltsim.physics.model.construction import Construction, construction as construction_called
+from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
+from ltsim.physics.laws.words import parse_law
+from ltsim.physics.model.construction import Construction, make_construction as construction_called
 from ltsim.recordings import Recording
-from ltsim.recordings.exchange import RecordingSource, read, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
-NO_PRIOR = "none"
+NO_PRIOR_OPTION = "none"
 
 
 def calibrate(
@@ -101,49 +106,58 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
-    if method not in ("network", *METHODS):
-        raise unknown_name("method", method, ("network", *METHODS))
+    if method not in ("network", *DISTANCE_METHODS):
+        raise unknown_name("method", method, ("network", *DISTANCE_METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree need a construction given by its name")
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    free = isinstance(prior, str) and prior == NO_PRIOR
-    earlier = None if prior is None or free else EarlierCalibrations.of(prior)
-    chosen = None if parameters is None else names(parameters)
-    choice = Choice(chosen, names(without), dict(hold or {}), earlier, free)
-    held = None if datum is None else names(datum)
+    free = isinstance(prior, str) and prior == NO_PRIOR_OPTION
+    earlier = None if prior is None or free else EarlierCalibrations.from_source(prior)
+    chosen = None if parameters is None else name_tuple(parameters)
+    choice = ParameterSelection(chosen, name_tuple(without), dict(hold or {}), earlier, free)
+    held = None if datum is None else name_tuple(datum)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
-    effects = each_of(with_effects)
+    effects = effect_tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
-    source = recording_of(recording)
+    source = load_recording(recording)
     if method == "network":
-        extra_effects = [requested_effect(asked, source) for asked in effects]
-        return reported(
-            calibrate_network(source, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
+        extra_effects = [parse_requested_effect(asked, source) for asked in effects]
+        return with_reported_uncertainty(
+            calibrate_network(
+                source,
+                built,
+                recommend_measurements=advise,
+                parameter_selection=choice,
+                extra_effects=extra_effects,
+                **options,
+            )
         )
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
         raise ModelError(f"{listed} and {option('with_effects')} need {option('method')} network, not {method}")
-    return reported(calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box))
+    return with_reported_uncertainty(
+        calibrate_distance(source, built, method=method, advise=advise, choice=choice, bound_in_prior_sigmas=box)
+    )
 
 
-def requested_effect(asked: str | Effect | Sized, recording: Recording) -> RequestedEffect:
+def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
     """Requested effect from an effect (default fields are selected by the readings) or a text.
 
     Raises ModelError for sizes.
     """
-    if isinstance(asked, Sized):
-        raise ModelError(f"{asked.effect.name} has a size, as for simulate and inject; give it without a size")
-    if isinstance(asked, str):
-        return _in_words(asked, recording)
-    fixed = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}
-    return RequestedEffect(asked, frozenset(fixed))
+    if isinstance(effect_or_text, SizedEffect):
+        raise ModelError(f"{effect_or_text.effect.name} has a size, as for simulate and inject; give it without a size")
+    if isinstance(effect_or_text, str):
+        return _parse_effect_text(effect_or_text, recording)
+    fixed = {f.name for f in fields(effect_or_text) if getattr(effect_or_text, f.name) != f.default}
+    return RequestedEffect(effect_or_text, frozenset(fixed))
 
 
-def _in_words(text: str, recording: Recording) -> RequestedEffect:
+def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
     """Requested effect from a text, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
@@ -164,9 +178,9 @@ def _in_words(text: str, recording: Recording) -> RequestedEffect:
     if is_law and constants:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
-        return RequestedEffect(read_law(carrier.strip(), driver.strip(), recording, **places))
+        return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed = {kind for kind, named in places.items() if named} | set(constants)
-    return RequestedEffect(effect_from(name.strip(), places, constants), frozenset(fixed))
+    return RequestedEffect(make_effect(name.strip(), places, constants), frozenset(fixed))
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
@@ -200,14 +214,16 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     >>> criteria.distance.improvement_percent > 10
     True
     """
-    source = recording_of(recording)
-    use = ~screen_gross_errors(source).gross
+    source = load_recording(recording)
+    use = ~screen_gross_errors(source).is_gross_pointing
     if calibration is None:
-        return Criteria.of(source, criteria_of(source, use=use))
-    corrections = calibration_of(calibration)
-    change = incidence_change(source, corrections)
+        return Criteria.from_criteria(source, criteria_of(source, row_mask=use))
+    corrections = load_calibration(calibration)
+    change = incidence_correction_change(source, corrections)
     values = corrections.values_for(source)
-    return Criteria.of(source, criteria_of(source, corrections.construction, values, shift=change, use=use))
+    return Criteria.from_criteria(
+        source, criteria_of(source, corrections.construction, values, reading_changes=change, row_mask=use)
+    )
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
@@ -231,11 +247,13 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """
-    source, corrections = recording_of(recording), calibration_of(calibration)
-    change = incidence_change(source, corrections)
+    source, corrections = load_recording(recording), load_calibration(calibration)
+    change = incidence_correction_change(source, corrections)
     values = corrections.values_for(source)
     points = read_nominal(Path(nominal))
-    return Criteria.of(source, verified(source, points, corrections.construction, values, shift=change))
+    return Criteria.from_criteria(
+        source, verified(source, points, corrections.construction, values, reading_changes=change)
+    )
 
 
 def history(
@@ -270,13 +288,17 @@ def history(
     True
     """
     if isinstance(sources, Mapping):
-        named = [(label, _labelled(label, source, options)[1]) for label, source in sources.items()]
+        named = [(label, _load_labelled(label, source, options)[1]) for label, source in sources.items()]
     else:
-        named = [_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(CalibrationSeries.of(named, instrument, None if dates is None else names(dates)))
+        named = [_load_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
+    return History.from_series(
+        CalibrationSeries.from_labelled(named, instrument, None if dates is None else name_tuple(dates))
+    )
 
 
-def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
+def _load_labelled(
+    label: str, source: RecordingSource | Calibration, options: dict[str, Any]
+) -> tuple[str, Calibration]:
     """Label and calibration; the label of a file is its name."""
     if isinstance(source, Calibration):
         return label, source

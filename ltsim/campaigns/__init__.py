@@ -4,13 +4,13 @@ import os
 
 from ltsim.core.errors import require
 
-PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
+REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 """Packages that only campaigns need, a third of a complete installation."""
 
 
 def require_packages() -> None:
     """Check that the packages of campaigns are installed; raises SetupError that says what to install."""
-    require(PACKAGES, "campaigns", "campaigns")
+    require(REQUIRED_PACKAGES, "campaigns", "campaigns")
 
 
 # Numba reads a `.numba_config.yaml` in the working folder, which may be somebody else's, at every compilation. It may

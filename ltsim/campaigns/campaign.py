@@ -19,35 +19,44 @@ from typing import Any
 import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
-from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
-from ltsim.campaigns.design import Factor, label
-from ltsim.campaigns.rows import ShardTask, rows_of, run_task
+from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
+from ltsim.campaigns.design import Factor, cell_label
+from ltsim.campaigns.rows import ShardTask, n_rows_of_shard, run_task
 from ltsim.campaigns.schema import CellEntry, ManifestFile, ScenarioSettings
-from ltsim.campaigns.spec import JUDGE, Campaign, Cell, cad_files, cells_of, load_campaign, local_file, read_cad
-from ltsim.campaigns.statistics import Statistics
-from ltsim.campaigns.stopping import Shard, rounds
-from ltsim.campaigns.store import SOURCE, Store, interruption
+from ltsim.campaigns.spec import (
+    VALIDATION_STREAM_KEY,
+    CampaignCell,
+    CampaignFile,
+    cad_files,
+    load_campaign,
+    local_file,
+    make_cells,
+    read_cad,
+)
+from ltsim.campaigns.statistics import CampaignStatistics
+from ltsim.campaigns.stopping import ShardKey, iterate_rounds
+from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import to_toml
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.simulator import idle_effects
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change the bytes of a row."""
 EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
 """Keys of the campaign file that may be extended while existing rows remain valid."""
-Progress = Callable[[int], None]
+ProgressCallback = Callable[[int], None]
 
 
 @dataclass(frozen=True)
-class Workers:
+class WorkerSettings:
     """Workers that compute the shards: local processes, or those of a Dask scheduler."""
 
-    jobs: int = 1
+    n_processes: int = 1
     """Number of processes on this machine; with Dask the scheduler decides."""
     backend: str = "local"
     """`local` or `dask`."""
@@ -57,20 +66,21 @@ class Workers:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.jobs, required="jobs")
+        check_bounds(jobs=self.n_processes, required="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunResult:
     """Result of a run: its folder, numbers of shards, and notes for the user."""
 
     folder: Path
-    shards: int
+    """Folder of the campaign."""
+    n_computed_shards: int
     """Number of shards that this run computed and wrote."""
-    existing: int
+    n_existing_shards: int
     """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
     """Notes for the user, such as on damaged shards that were recomputed, or on another commit than at the start."""
@@ -80,13 +90,13 @@ def run_campaign(
     file: Path,
     folder: Path,
     *,
-    workers: Workers | None = None,
+    workers: WorkerSettings | None = None,
     resume: bool = False,
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
     tables: Mapping[str, Any] | None = None,
-    progress: Progress = lambda trials: None,
-) -> Outcome:
+    progress: ProgressCallback = lambda trials: None,
+) -> RunResult:
     """Run, continuation or extension of a campaign, as `ltsim.campaign` but with any workers.
 
     `tables` replace a file. `progress` is called with the number of finished trials.
@@ -94,10 +104,10 @@ def run_campaign(
     with as_setup_error():
         check_writable(folder, folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
-    factors, cells = cells_of(campaign, scenarios, file)
-    notes, store = _check(campaign, factors, cells, file), Store(folder)
-    sources = _sources(campaign, cells, file, as_it_is=not changes and tables is None)
-    taken = [] if store.begun or force else store.taken(sources)
+    factors, cells = make_cells(campaign, scenarios, file)
+    notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
+    sources = _input_files(campaign, cells, file, unchanged=not changes and tables is None)
+    taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
             f"{folder}: contains {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
@@ -105,62 +115,70 @@ def run_campaign(
     with store.lock():
         if force and not resume:
             store.clear()
-        if store.begun:
-            campaign, cells = _extended(store, campaign, cells, file, resume=resume)
-            notes += _check_same(store)
-        manifest = _manifest(campaign, factors, cells)
+        if store.has_campaign:
+            campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
+            notes += _environment_change_notes(store)
+        manifest = _make_manifest(campaign, factors, cells)
         made_here = {name: getattr(manifest, name) for name in ("commit", "processor", "versions")}
-        if not store.begun or store.manifest().model_copy(update=made_here) != manifest:
-            store.begin(manifest, sources)
-        store.sweep()
+        if not store.has_campaign or store.manifest().model_copy(update=made_here) != manifest:
+            store.write_manifest(manifest, sources)
+        store.remove_unfinished_files()
         done, existing = 0, 0
-        for wanted in rounds(campaign, len(cells), partial(_half_intervals, folder)):
+        for wanted in iterate_rounds(campaign, len(cells), partial(_half_intervals, folder)):
             waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
-                for task, content in _results(waiting, workers or Workers(), store):
+                for task, content in _iterate_results(waiting, workers or WorkerSettings(), store):
                     store.write_shard(task.cell, task.shard, content)
-                    progress(rows_of(campaign, task.shard))
+                    progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
-                raise interruption(folder, problem) from None
-    spared = len(cells) * campaign.shards - done - existing
+                raise interruption_error(folder, problem) from None
+    spared = len(cells) * campaign.n_shards_per_cell - done - existing
     if spared:
-        share = 100 * spared / (len(cells) * campaign.shards)
+        share = 100 * spared / (len(cells) * campaign.n_shards_per_cell)
         notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed: their cells had converged")
-    return Outcome(folder, done, existing, tuple(notes))
+    return RunResult(folder, done, existing, tuple(notes))
 
 
-def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is: bool) -> dict[str, bytes]:
+def _input_files(
+    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, unchanged: bool
+) -> dict[str, bytes]:
     """Input files of the campaign, stored with its rows: scenarios, points, CAD files, the campaign file."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
     contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
-    for path in cad_files([place for cell in cells for place in (cell.scenario, cell.judge) if place is not None]):
+    for path in cad_files(
+        [place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None]
+    ):
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {SOURCE: file.read_bytes() if as_it_is else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE: file.read_bytes() if unchanged else to_toml(settings).encode()}
 
 
-def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
+def _configuration_notes(
+    campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
+) -> list[str]:
     """Notes on effects without influence; raises SetupError for an error that would stop every trial."""
     idle = []
     for method in campaign.methods:
-        fitted_construction(method)
-        fitted_effects(method)
+        estimated_construction(method)
+        estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
-        where = f"cell {number} ({label(factors, cell.levels)})"
+        where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
-            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(cell.scenario, campaign.seed))]
-            if cell.judge is not None:
-                fieldwork(cell.judge, campaign.seed, JUDGE)
+            idle += [
+                f"{where}: {note}" for note in ineffective_effect_notes(make_geometry(cell.scenario, campaign.seed))
+            ]
+            if cell.validation_scenario is not None:
+                make_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
     return idle
 
 
-def _extended(
-    store: Store, campaign: Campaign, cells: tuple[Cell, ...], file: Path, *, resume: bool
-) -> tuple[Campaign, tuple[Cell, ...]]:
+def _extended_campaign(
+    store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
+) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
     """Campaign of the folder extended by the additions of the file; existing cells keep their numbers.
 
     Raises SetupError if the file would change existing rows.
@@ -171,13 +189,13 @@ def _extended(
             "or start again with --force"
         )
     manifest = store.manifest()
-    if not all(old.mark for old in manifest.cells):
+    if not all(old.digest for old in manifest.cells):
         raise SetupError(
             f"{store.folder}: started by an earlier version of ltsim; start again with another --out, or with --force"
         )
-    before, ordered, remaining = manifest.settings, list[Cell](), list(cells)
+    before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
-        same = next((cell for cell in remaining if cell.mark == old.mark), None)
+        same = next((cell for cell in remaining if cell.digest == old.digest), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
             changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
@@ -185,7 +203,7 @@ def _extended(
             ]
             raise SetupError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / SOURCE}, or start again with another --out"
+                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another --out"
             )
         remaining.remove(same)
         ordered.append(same)
@@ -199,39 +217,39 @@ def _extended(
     return campaign.model_copy(update=more), (*ordered, *remaining)
 
 
-def _check_same(store: Store) -> list[str]:
+def _environment_change_notes(store: CampaignFolder) -> list[str]:
     """Notes on changes since the start (code, processor).
 
     Raises SetupError for other versions of the packages in `VERSIONED_PACKAGES`.
     """
     manifest = store.manifest()
-    then, today = manifest.versions, _versions()
+    then, today = manifest.versions, _package_versions()
     for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
-            before = shown(str(then.get(name)))
+            before = quoted_text(str(then.get(name)))
             raise SetupError(
                 f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or start again with another --out"
             )
     notes = []
-    if (begun := manifest.commit) != (now := commit()):
+    if (begun := manifest.commit) != (now := checkout_commit()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
         notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
-    if (built := manifest.processor) != (here := processor()):
+    if (built := manifest.processor) != (here := processor_type()):
         notes.append(f"started on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
 
 
-def _versions() -> dict[str, str]:
+def _package_versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: version(name) for name in VERSIONED_PACKAGES}
 
 
-def processor() -> str:
+def processor_type() -> str:
     """Type of this machine's processor; with the versions it determines the bytes of rows."""
     return str(llvmlite.binding.get_host_cpu_name())
 
 
-def commit() -> str | None:
+def checkout_commit() -> str | None:
     """Commit of the ltsim checkout from which the package runs.
 
     It is None if it runs from elsewhere, such as an environment inside the checkout of another project: git then does
@@ -252,7 +270,7 @@ def commit() -> str | None:
         return None
 
 
-def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell]) -> ManifestFile:
+def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell]) -> ManifestFile:
     return ManifestFile(
         title=campaign.title,
         seed=campaign.seed,
@@ -261,12 +279,14 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
         methods=tuple(method.title for method in campaign.methods),
         factors=tuple(factors),
         cells=tuple(
-            CellEntry(cell=i, label=label(factors, c.levels), settings=c.settings, levels=c.levels, mark=c.mark)
+            CellEntry(
+                cell=i, label=cell_label(factors, c.levels), settings=c.settings, levels=c.levels, digest=c.digest
+            )
             for i, c in enumerate(cells)
         ),
-        versions=_versions(),
-        processor=processor(),
-        commit=commit(),
+        versions=_package_versions(),
+        processor=processor_type(),
+        commit=checkout_commit(),
         settings=campaign.model_dump(mode="json", by_alias=True),
         scenarios=tuple(
             ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
@@ -275,17 +295,23 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
 
 
 def _pending_shards(
-    store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
+    store: CampaignFolder,
+    campaign: CampaignFile,
+    cells: Sequence[CampaignCell],
+    wanted: list[ShardKey],
+    progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
     waiting, notes, digests = [], [], store.digests()
     for cell, shard in wanted:
-        task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
-        state = store.shard_status(cell, shard, task.key, rows_of(campaign, shard), digests)
+        task = ShardTask(
+            campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
+        )
+        state = store.shard_status(cell, shard, task.key, n_rows_of_shard(campaign, shard), digests)
         if state == "whole":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
-                store.note(cell, shard)
-            progress(rows_of(campaign, shard))
+                store.record_digest(cell, shard)
+            progress(n_rows_of_shard(campaign, shard))
             continue
         if state == "damaged":
             aside = store.quarantine(cell, shard)
@@ -296,26 +322,32 @@ def _pending_shards(
 
 def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
     """Half-width of the confidence interval of a statistic's mean over the first shards, by cell and method."""
-    return {(s.cell, s.method): 0.5 * (s.high - s.low) for s in Statistics(folder, shards).spread(statistic)}
+    return {
+        (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, shards).distribution(statistic)
+    }
 
 
-def _results(tasks: list[ShardTask], workers: Workers, store: Store) -> Iterator[tuple[ShardTask, bytes]]:
+def _iterate_results(
+    tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
+) -> Iterator[tuple[ShardTask, bytes]]:
     """Computed shards in order of completion; existing rows of a shard are part of its task."""
     given = (
-        replace(t, held=store.rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None)
+        replace(
+            t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None
+        )
         for t in tasks
     )
     if workers.backend == "local":
-        jobs = min(workers.jobs, max(len(tasks), 1))
-        yield from parallel(run_task, ((task,) for task in given), jobs, ordered=False)
+        jobs = min(workers.n_processes, max(len(tasks), 1))
+        yield from run_parallel(run_task, ((task,) for task in given), jobs, ordered=False)
         return
-    with _cluster(workers):
+    with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
         yield from pool(delayed(run_task)(task) for task in given)
 
 
 @contextmanager
-def _cluster(workers: Workers) -> Iterator[None]:
+def _dask_cluster(workers: WorkerSettings) -> Iterator[None]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:

@@ -7,26 +7,27 @@ value decomposition, reach rounding.
 
 import numpy as np
 
-from ltsim.campaigns.compiled import at, compiled
+from ltsim.campaigns.compiled import compile_function, trial_value
 from ltsim.core.arrays import Bools, Floats, Ints
 
-TURNS = 3
-MICRO = 1e6
+N_ROTATION_STEPS = 3
+"""Number of Newton steps of a rotation in a rigid fit."""
+MICROMETRES_PER_METRE = 1e6
 
 
-@compiled
-def station_means(points: Floats, station: Ints, target: Ints, share: Floats, out: Floats) -> None:
+@compile_function
+def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
     """Addition of points (n, 3, B) times weights (n,) to the clouds (S, T, 3, B) of their stations and targets."""
     for i in range(len(points)):
-        cloud = out[station[i], target[i]]
+        cloud = clouds[station[i], target[i]]
         for c in range(3):
             source, goal = points[i, c], cloud[c]
             for t in range(len(source)):
-                goal[t] += share[i] * source[t]
+                goal[t] += weights[i] * source[t]
 
 
-@compiled
-def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
+@compile_function
+def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
     """Transformation of clouds (S, T, 3, B) from instrument frames to the network frame by nominal poses, in place."""
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
@@ -37,17 +38,17 @@ def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
             x, y, z = clouds[s, k, 0], clouds[s, k, 1], clouds[s, k, 2]
             for t in range(len(x)):
                 a, b, c = x[t], y[t], z[t]
-                x[t] = at(p0, t) + at(r00, t) * a + at(r01, t) * b + at(r02, t) * c
-                y[t] = at(p1, t) + at(r10, t) * a + at(r11, t) * b + at(r12, t) * c
-                z[t] = at(p2, t) + at(r20, t) * a + at(r21, t) * b + at(r22, t) * c
+                x[t] = trial_value(p0, t) + trial_value(r00, t) * a + trial_value(r01, t) * b + trial_value(r02, t) * c
+                y[t] = trial_value(p1, t) + trial_value(r10, t) * a + trial_value(r11, t) * b + trial_value(r12, t) * c
+                z[t] = trial_value(p2, t) + trial_value(r20, t) * a + trial_value(r21, t) * b + trial_value(r22, t) * c
 
 
-@compiled
-def _centre(cloud: Floats, use: Bools, out: Floats) -> None:
+@compile_function
+def _centre_cloud(cloud: Floats, used_targets: Bools, out: Floats) -> None:
     out[:] = 0.0
     count = 0
     for k in range(len(cloud)):
-        if use[k]:
+        if used_targets[k]:
             count += 1
             for c in range(3):
                 for t in range(out.shape[1]):
@@ -57,46 +58,50 @@ def _centre(cloud: Floats, use: Bools, out: Floats) -> None:
             out[c, t] /= count
 
 
-@compiled
-def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
+@compile_function
+def align_rigidly(cloud: Floats, goal: Floats, used_targets: Bools, aligned: Floats) -> None:
     """Rigid least-squares alignment of a cloud (T, 3, B) to a goal, by the targets in use (T,)."""
-    trials = source.shape[2]
+    trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
-    _centre(source, use, middle)
-    _centre(goal, use, aim)
+    _centre_cloud(cloud, used_targets, middle)
+    _centre_cloud(goal, used_targets, aim)
     k = np.zeros((3, 3, trials))
-    for i in range(len(source)):
-        if use[i]:
+    for i in range(len(cloud)):
+        if used_targets[i]:
             for a in range(3):
                 for b in range(3):
                     for t in range(trials):
-                        k[a, b, t] += (source[i, a, t] - middle[a, t]) * (goal[i, b, t] - aim[b, t])
+                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (goal[i, b, t] - aim[b, t])
     turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
-    for _ in range(TURNS):
+    for _ in range(N_ROTATION_STEPS):
         _rotation_step(k, more)
-        _turn_by(more, k)
-        _turn_by(more, turn)
-    for i in range(len(source)):
+        _rotate_columns(more, k)
+        _rotate_columns(more, turn)
+    for i in range(len(cloud)):
         for a in range(3):
             for t in range(trials):
-                x = source[i, 0, t] - middle[0, t]
-                y = source[i, 1, t] - middle[1, t]
-                z = source[i, 2, t] - middle[2, t]
-                moved[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
+                x = cloud[i, 0, t] - middle[0, t]
+                y = cloud[i, 1, t] - middle[1, t]
+                z = cloud[i, 2, t] - middle[2, t]
+                aligned[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
 
 
-@compiled
-def _rotation_step(k: Floats, more: Floats) -> None:
-    """Newton step `more` of the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
-    for t in range(k.shape[2]):
-        trace = k[0, 0, t] + k[1, 1, t] + k[2, 2, t]
-        m00, m11, m22 = trace - k[0, 0, t], trace - k[1, 1, t], trace - k[2, 2, t]
-        m01 = -0.5 * (k[0, 1, t] + k[1, 0, t])
-        m02 = -0.5 * (k[0, 2, t] + k[2, 0, t])
-        m12 = -0.5 * (k[1, 2, t] + k[2, 1, t])
-        g0, g1, g2 = k[1, 2, t] - k[2, 1, t], k[2, 0, t] - k[0, 2, t], k[0, 1, t] - k[1, 0, t]
+@compile_function
+def _rotation_step(correlation: Floats, step: Floats) -> None:
+    """Newton step `step` of the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
+    for t in range(correlation.shape[2]):
+        trace = correlation[0, 0, t] + correlation[1, 1, t] + correlation[2, 2, t]
+        m00, m11, m22 = trace - correlation[0, 0, t], trace - correlation[1, 1, t], trace - correlation[2, 2, t]
+        m01 = -0.5 * (correlation[0, 1, t] + correlation[1, 0, t])
+        m02 = -0.5 * (correlation[0, 2, t] + correlation[2, 0, t])
+        m12 = -0.5 * (correlation[1, 2, t] + correlation[2, 1, t])
+        g0, g1, g2 = (
+            correlation[1, 2, t] - correlation[2, 1, t],
+            correlation[2, 0, t] - correlation[0, 2, t],
+            correlation[0, 1, t] - correlation[1, 0, t],
+        )
         c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
         c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
         scale = 1.0 / (m00 * c00 + m01 * c01 + m02 * c02)
@@ -107,19 +112,19 @@ def _rotation_step(k: Floats, more: Floats) -> None:
         # Cayley's form is a rotation whatever the angle, and exp to third order.
         f = 1.0 / (1.0 + 0.25 * size)
         d = 1.0 - 0.25 * size
-        more[0, 0, t] = f * (d + 0.5 * u * u)
-        more[0, 1, t] = f * (0.5 * u * v - w)
-        more[0, 2, t] = f * (0.5 * u * w + v)
-        more[1, 0, t] = f * (0.5 * u * v + w)
-        more[1, 1, t] = f * (d + 0.5 * v * v)
-        more[1, 2, t] = f * (0.5 * v * w - u)
-        more[2, 0, t] = f * (0.5 * u * w - v)
-        more[2, 1, t] = f * (0.5 * v * w + u)
-        more[2, 2, t] = f * (d + 0.5 * w * w)
+        step[0, 0, t] = f * (d + 0.5 * u * u)
+        step[0, 1, t] = f * (0.5 * u * v - w)
+        step[0, 2, t] = f * (0.5 * u * w + v)
+        step[1, 0, t] = f * (0.5 * u * v + w)
+        step[1, 1, t] = f * (d + 0.5 * v * v)
+        step[1, 2, t] = f * (0.5 * v * w - u)
+        step[2, 0, t] = f * (0.5 * u * w - v)
+        step[2, 1, t] = f * (0.5 * v * w + u)
+        step[2, 2, t] = f * (d + 0.5 * w * w)
 
 
-@compiled
-def _turn_by(r: Floats, columns: Floats) -> None:
+@compile_function
+def _rotate_columns(r: Floats, columns: Floats) -> None:
     """Rotation of columns (3, 3, B) by rotations (3, 3, B), in place."""
     for b in range(3):
         for t in range(r.shape[2]):
@@ -129,21 +134,21 @@ def _turn_by(r: Floats, columns: Floats) -> None:
             columns[2, b, t] = r[2, 0, t] * x + r[2, 1, t] * y + r[2, 2, t] * z
 
 
-@compiled
-def add_square_error(moved: Floats, goal: Floats, use: Bools, total: Floats) -> int:
+@compile_function
+def add_square_error(aligned: Floats, goal: Floats, used_targets: Bools, total: Floats) -> int:
     """Number of targets in use; their squared distances between clouds (T, 3, B) are added to `total` (B,)."""
     count = 0
-    for i in range(len(moved)):
-        if use[i]:
+    for i in range(len(aligned)):
+        if used_targets[i]:
             count += 1
             for c in range(3):
                 for t in range(len(total)):
-                    gap = moved[i, c, t] - goal[i, c, t]
+                    gap = aligned[i, c, t] - goal[i, c, t]
                     total[t] += gap * gap
     return count
 
 
-@compiled
+@compile_function
 def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
     """Mean and maximum (B,) [um], over pairs of targets, of the mean deviation of their distance between stations."""
     stations, targets, _, trials = clouds.shape
@@ -171,17 +176,17 @@ def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Fl
                 for t in range(trials):
                     spread[t] += abs(length[s, t] - part * middle[t])
             for t in range(trials):
-                value = MICRO * part * spread[t]
+                value = MICROMETRES_PER_METRE * part * spread[t]
                 mean[t] += value
                 largest[t] = max(largest[t], value)
     for t in range(trials):
         mean[t] /= pairs
 
 
-@compiled
-def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
+@compile_function
+def coordinate_criterion(aligned_clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
     """Mean and maximum (B,) [um], over targets, of the mean distance between their positions from two stations."""
-    stations, targets, _, trials = placed.shape
+    stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
     mean[:], largest[:] = 0.0, 0.0
     n_used = 0
@@ -192,7 +197,7 @@ def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: 
             for n in range(m + 1, stations):
                 if visible[m, i] and visible[n, i]:
                     count += 1
-                    a, b = placed[m, i], placed[n, i]
+                    a, b = aligned_clouds[m, i], aligned_clouds[n, i]
                     for t in range(trials):
                         x, y, z = a[0, t] - b[0, t], a[1, t] - b[1, t], a[2, t] - b[2, t]
                         spread[t] += np.sqrt(x * x + y * y + z * z)
@@ -200,15 +205,15 @@ def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: 
             continue
         n_used += 1
         for t in range(trials):
-            value = MICRO * spread[t] / count
+            value = MICROMETRES_PER_METRE * spread[t] / count
             mean[t] += value
             largest[t] = max(largest[t], value)
     for t in range(trials):
         mean[t] /= n_used
 
 
-@compiled
-def _spread_force(
+@compile_function
+def _add_line_force(
     first: Floats, second: Floats, on_first: Floats, on_second: Floats, size: Floats, length: Floats
 ) -> None:
     """Addition of a force of size (B,) along the line between two points to the forces (3, B) on them."""
@@ -219,15 +224,15 @@ def _spread_force(
             on_second[c, t] -= part
 
 
-@compiled
-def _between(first: Floats, second: Floats, out: Floats) -> None:
+@compile_function
+def _difference_vector(first: Floats, second: Floats, out: Floats) -> None:
     for t in range(len(out)):
         x, y, z = first[0, t] - second[0, t], first[1, t] - second[1, t], first[2, t] - second[2, t]
         out[t] = np.sqrt(x * x + y * y + z * z)
 
 
-@compiled
-def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
+@compile_function
+def _reference_length_index(gauge: Ints, i: int, j: int) -> int:
     """Index of the reference length between a pair of targets; -1 for none."""
     for g in range(len(gauge)):
         if (gauge[g, 0] == i and gauge[g, 1] == j) or (gauge[g, 0] == j and gauge[g, 1] == i):
@@ -235,7 +240,7 @@ def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
     return -1
 
 
-@compiled
+@compile_function
 def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
     """Half of the derivative of the objective with respect to the points of all sets, and the objective.
 
@@ -252,11 +257,11 @@ def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats,
             middle[:] = 0.0
             for s in range(sets):
                 if visible[s, i] and visible[s, j]:
-                    _between(clouds[s, i], clouds[s, j], lengths[s])
+                    _difference_vector(clouds[s, i], clouds[s, j], lengths[s])
                     count += 1
                     for t in range(trials):
                         middle[t] += lengths[s, t]
-            gauge_index = _length_of_pair(gauge, i, j)
+            gauge_index = _reference_length_index(gauge, i, j)
             for s in range(sets):
                 if not (visible[s, i] and visible[s, j]):
                     continue
@@ -269,4 +274,4 @@ def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats,
                         gap = lengths[s, t] - length[gauge_index, t]
                         size[t] += gap
                         cost[t] += gap * gap
-                _spread_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, lengths[s])
+                _add_line_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, lengths[s])

@@ -9,87 +9,93 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.schema import FAILED, OF_PARAMETER, STATUSES, column_of
+from ltsim.campaigns.schema import PARAMETER_UNIT_TEXT, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter
 from ltsim.physics.model.construction import Construction
 
-Columns = dict[str, NDArray[Any]]
+ResultColumns = dict[str, NDArray[Any]]
 """Results by name, each (B,) with one value per trial; lengths in um as in the names."""
-TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
+ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
+"""Arrow types of the columns, by type of the values."""
 
 
 class ParameterLabel(NamedTuple):
     """Label of a parameter of an instrument or effect in the rows."""
 
-    name: str
+    text: str
     """Text of the label: ``beam-tilt``, ``beam-tilt@NAME`` for several instruments; ``head-sag:sag S2``, ``head-sag:sag
     S2 #2``.
     """
     parameter: Parameter
+    """Parameter of an instrument or effect."""
     effect: Effect | None = None
+    """Effect to which the parameter belongs; None for an instrument."""
 
 
-def labels_of(
+def parameter_labels(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
     """Labels of the parameters of all instruments, then of those of effects."""
-    names, counts = construction.names_of(instruments), Counter[str]()
+    names, counts = construction.instrument_parameter_names(instruments), Counter[str]()
     labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
         for parameter in effect.parameters:
-            name = f"{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
+            name = f"{effect.name}:{parameter.name}" + (f" {effect.place_text}" if effect.place_text else "")
             counts[name] += 1
             again = f" #{counts[name]}" if counts[name] > 1 else ""
             labels.append(ParameterLabel(name + again, parameter, effect))
     return labels
 
 
-def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> Columns:
+def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> ResultColumns:
     """Columns of parameters (P, B) [SI] in units of display, such as ``estimate:beam-tilt``."""
-    return {f"{prefix}:{label.name}": row / label.parameter.factor for label, row in zip(labels, values, strict=True)}
+    return {
+        f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
+        for label, row in zip(labels, values, strict=True)
+    }
 
 
-def z_scores(
+def z_score_columns(
     labels: Sequence[ParameterLabel], values: Floats, sigma: Floats, true_labels: Sequence[ParameterLabel], true: Floats
-) -> Columns:
+) -> ResultColumns:
     """Columns of z-scores, (estimate - truth) / sigma, of those parameters (P, B) that have a true value."""
-    true_values = {(label.name, label.effect): true_value for label, true_value in zip(true_labels, true, strict=True)}
+    true_values = {(label.text, label.effect): true_value for label, true_value in zip(true_labels, true, strict=True)}
     with np.errstate(divide="ignore", invalid="ignore"):
         return {
-            f"z:{label.name}": (value - true_values[label.name, label.effect]) / spread
+            f"z:{label.text}": (value - true_values[label.text, label.effect]) / spread
             for label, value, spread in zip(labels, values, sigma, strict=True)
-            if (label.name, label.effect) in true_values
+            if (label.text, label.effect) in true_values
         }
 
 
-def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    column = column_of(name)
+def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
+    column = find_column(name)
     if column is None:
         return {"unit": "", "meaning": ""}
-    unit = parameters.get(name.partition(":")[2], "") if column.unit == OF_PARAMETER else column.unit
+    unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_TEXT else column.unit
     return {"unit": unit, "meaning": column.meaning}
 
 
-def with_settings(
+def append_settings(
     table: pa.Table, factors: Sequence[Factor], levels: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
     """Rows of a cell with its settings after the column `cell`, and units in the metadata of the columns."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
-        f.name: pa.repeat(pa.scalar(levels[f.name], TYPES.get(f.kind, pa.string())), len(table)) for f in factors
+        f.name: pa.repeat(pa.scalar(levels[f.name], ARROW_TYPES.get(f.kind, pa.string())), len(table)) for f in factors
     }
     metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
     whole = cell | settings | columns
     fields = [
-        pa.field(name, column.type, metadata=metadata.get(name) or _metadata(name, parameters))
+        pa.field(name, column.type, metadata=metadata.get(name) or _column_metadata(name, parameters))
         for name, column in whole.items()
     ]
     return pa.table(list(whole.values()), schema=pa.schema(fields))
 
 
-def rows_of_method(cell: int, method: str, parts: list[Columns]) -> pa.Table:
+def method_table(cell: int, method: str, parts: list[ResultColumns]) -> pa.Table:
     """Columns of a method as a table; displayed numbers have seven digits and are empty if a geometry has no value."""
     names = dict.fromkeys(name for part in parts for name in part)
     merged = {
@@ -100,12 +106,12 @@ def rows_of_method(cell: int, method: str, parts: list[Columns]) -> pa.Table:
     merged = {name: values[order] for name, values in merged.items()}
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
     count = len(trial)
-    lost = status == STATUSES.index(FAILED)
+    lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
         "cell": pa.array(np.full(count, cell), pa.int32()),
         "method": pa.array([method] * count, pa.string()),
         "trial": pa.array(trial, pa.int64()),
-        "status": pa.array([STATUSES[s] for s in status], pa.string()),
+        "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }
     for name, values in merged.items():
         empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)

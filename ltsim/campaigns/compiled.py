@@ -10,22 +10,22 @@ from numba.extending import overload
 
 from ltsim.core.arrays import Floats
 
-R = TypeVar("R")
+ReturnType = TypeVar("ReturnType")
 
 if llvmlite.binding.llvm_version_info[0] >= 17:
     # Otherwise rows of one array are tested for overlap over all turns of the loop around, which is never passed.
     llvmlite.binding.set_option("ltsim", "-hoist-runtime-checks=false")
 
 
-def compiled(function: Callable[..., R]) -> Callable[..., R]:
+def compile_function(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
     """Compiled version of a function; it is compiled at the first call, and the machine code is cached with the source.
 
     The order of sums is fixed; only a product and a sum may be fused. The function runs without the interpreter lock.
     """
 
-    def compiled_kernel(cache: bool) -> Callable[..., R]:
+    def compiled_kernel(cache: bool) -> Callable[..., ReturnType]:
         compiler = numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath={"contract"})
-        return cast(Callable[..., R], compiler(function))
+        return cast(Callable[..., ReturnType], compiler(function))
 
     try:
         return compiled_kernel(cache=True)
@@ -33,20 +33,20 @@ def compiled(function: Callable[..., R]) -> Callable[..., R]:
         return compiled_kernel(cache=False)
 
 
-def inlined(function: Callable[..., R]) -> Callable[..., R]:
+def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
     """Compiled version of a function that is inlined into its caller, so that loops around it can be vectorised."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
-    return cast(Callable[..., R], compiler(function))
+    return cast(Callable[..., ReturnType], compiler(function))
 
 
-def at(value: Floats | float, trial: int) -> float:
+def trial_value(value: Floats | float, trial: int) -> float:
     """Value of a trial: the common number of all trials, or the entry of an array (B,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 
-@overload(at, strict=False)
-def _at(value: object, trial: object) -> Callable[..., object]:
-    """Compiled form of `at`: a scalar itself, or the entry of an array for the trial."""
+@overload(trial_value, strict=False)
+def _compiled_trial_value(value: object, trial: object) -> Callable[..., object]:
+    """Compiled form of `trial_value`: a scalar itself, or the entry of an array for the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

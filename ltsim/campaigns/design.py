@@ -13,7 +13,7 @@ from ltsim.core.randomness import stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.keys import Kind, kind_of, value_at
+from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMNS = frozenset(
     {
@@ -25,6 +25,7 @@ RESERVED_COLUMNS = frozenset(
 SIGNIFICANT_DIGITS = 4
 """Number of significant digits of a value in a design: points remain distinct and readable."""
 MAX_RANGES = 64
+"""Largest number of ranges of a design."""
 
 
 class Range(TomlSection):
@@ -43,11 +44,11 @@ class Range(TomlSection):
             raise ValueError("it should have low below high, and low above 0 for a log scale")
         return self
 
-    def at(self, share: Floats, *, whole: bool) -> list[float]:
+    def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
         """Values at fractions (n,) of the range; integers are equally likely."""
-        low, high = (self.low, self.high + 1.0) if whole else (self.low, self.high)
-        values = low * (high / low) ** share if self.scale == "log" else low + share * (high - low)
-        return [int(min(v, self.high)) if whole else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
+        low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
+        values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
+        return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
 
 
 class Design(TomlSection):
@@ -78,7 +79,7 @@ class Design(TomlSection):
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)
         columns = [
-            limits.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
+            limits.values_at(shares[:, k], is_integer=value_type_of_key(keys[name]) == "integer")
             for k, (name, limits) in enumerate(self.ranges.items())
         ]
         return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
@@ -93,15 +94,15 @@ class Factor(Entry):
     """Dotted keys of the scenario that take its value."""
     unit: str = ""
     """Unit of its values."""
-    kind: Kind = "number"
+    kind: ValueType = "number"
     """Type of its values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
         """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for a missing key."""
-        value = value_at(dict(scenario), self.keys[0])
+        value = value_at_key(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 
-    def words(self, level: Any) -> str:
+    def level_text(self, level: Any) -> str:
         """Text of a level with its unit, if the name of the factor does not contain the unit."""
         text = level if isinstance(level, str) else "none" if level is None else f"{level:g}"
         if isinstance(level, bool):
@@ -109,7 +110,7 @@ class Factor(Entry):
         return f"{text} {self.unit}" if self.unit and not unit_of_key(self.name) and level is not None else text
 
 
-def short_names(keys: Sequence[str]) -> dict[str, str]:
+def short_key_names(keys: Sequence[str]) -> dict[str, str]:
     """Shortest suffixes of dotted keys that are unique among the keys and the other columns."""
     depth = dict.fromkeys(keys, 1)
     while True:
@@ -124,6 +125,6 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
             depth[key] += 1
 
 
-def label(factors: Sequence[Factor], levels: Mapping[str, Any]) -> str:
+def cell_label(factors: Sequence[Factor], levels: Mapping[str, Any]) -> str:
     """Description of a cell in a line: the level of each factor."""
-    return ", ".join(f"{f.name} = {f.words(levels[f.name])}" for f in factors) or "as the scenario says"
+    return ", ".join(f"{f.name} = {f.level_text(levels[f.name])}" for f in factors) or "as the scenario says"

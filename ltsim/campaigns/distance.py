@@ -16,28 +16,30 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.distance import METHODS
+from ltsim.calibration.distance import DISTANCE_METHODS
 from ltsim.calibration.distance_solver import (
-    Estimates,
-    Separations,
-    mean_rows,
-    pair_rows,
+    ComparedDistances,
+    DistanceEstimate,
+    mean_deviation_rows,
+    pair_difference_rows,
     solve_distances,
     solve_equation_9,
 )
-from ltsim.calibration.objective import DistanceProblem, Distances
-from ltsim.campaigns.cloud_kernels import distance_forces, station_means
-from ltsim.campaigns.engine import BatchCalibrator, Calibrated, members
-from ltsim.campaigns.kernels import points_of, pull_points
-from ltsim.campaigns.network import BatchFit
+from ltsim.calibration.objective import DistanceProblem, SetDistances
+from ltsim.campaigns.batch_fit import BatchFit
+from ltsim.campaigns.cloud_kernels import add_station_means, distance_forces
+from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock, set_membership
+from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import wrap
-from ltsim.solve.absolute import least_absolute
+from ltsim.geometry.polar import wrap_angle
+from ltsim.solve.absolute import solve_least_absolute
 
-CAP, CAP_OF_WEAK = 10, 30
-"""Largest number of steps; the second value applies to weakly determined combinations by least squares."""
+MAX_STEPS = 10
+"""Largest number of Gauss-Newton steps of a trial."""
+MAX_STEPS_WEAK = 30
+"""Largest number of steps for weakly determined combinations by least squares."""
 CONVERGED_CHANGE = 3e-5
 """Largest change of an unknown, in prior sigmas, of a converged trial; the remaining error is a hundredth of it."""
 
@@ -52,36 +54,38 @@ class BatchDistance(BatchCalibrator):
     method: str = "distance"
 
     @property
-    def absolute(self) -> bool:
+    def uses_absolute_deviations(self) -> bool:
         """True for an estimate by least absolute deviations."""
         return self.method.endswith("-l1")
 
     @property
-    def as_printed(self) -> bool:
+    def estimates_all_combinations(self) -> bool:
         """True if every combination that changes the objective is estimated."""
         return self.method.startswith("equation-9")
 
     @cached_property
-    def problem(self) -> DistanceProblem:
+    def distance_problem(self) -> DistanceProblem:
         """Distance objective at the nominal network."""
         recording = self.truth.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
-    def estimate(self) -> Estimates:
+    def nominal_estimate(self) -> DistanceEstimate:
         """Estimate at nominal readings: zero, its covariance, and the combinations that are not estimated."""
-        if self.as_printed:
-            return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
-        return solve_distances(self.problem, METHODS[self.method])
+        if self.estimates_all_combinations:
+            return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
+        return solve_distances(self.distance_problem, DISTANCE_METHODS[self.method])
 
     @cached_property
-    def _distances(self) -> Distances:
-        return self.problem.at(np.zeros(self.problem.prior_sigma.size))
+    def _nominal_distances(self) -> SetDistances:
+        return self.distance_problem.distances_at(np.zeros(self.distance_problem.prior_sigma.size))
 
     @cached_property
-    def _determined(self) -> Floats:
+    def _estimated_combinations(self) -> Floats:
         """Estimated combinations, (q, k)."""
-        excluded = np.array([d.vector for d in self.estimate.undetermined]).reshape(-1, self.problem.prior_sigma.size)
+        excluded = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
+            -1, self.distance_problem.prior_sigma.size
+        )
         return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
             :, : excluded.shape[1] - len(excluded)
         ]
@@ -89,53 +93,60 @@ class BatchDistance(BatchCalibrator):
     @cached_property
     def step_matrix(self) -> Floats:
         """Matrix (q, q) from half a gradient to a step in prior sigmas, within the estimated combinations."""
-        rows, determined = self._mean_rows, self._determined
-        normal = rows.by_unknown.T @ rows.by_unknown
+        rows, determined = self._mean_deviation_rows, self._estimated_combinations
+        normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_rows(self) -> Separations:
-        return mean_rows(self.problem, self._distances)
+    def _mean_deviation_rows(self) -> ComparedDistances:
+        return mean_deviation_rows(self.distance_problem, self._nominal_distances)
 
     @cached_property
-    def _pair_rows(self) -> Separations:
-        return pair_rows(self.problem, self._distances)
+    def _pair_difference_rows(self) -> ComparedDistances:
+        return pair_difference_rows(self.distance_problem, self._nominal_distances)
 
     @property
-    def _program(self) -> ChainProgram:
-        return self.truth.program_of(self.construction)
+    def _chain_program(self) -> ChainProgram:
+        return self.truth.chain_program(self.construction)
 
     @cached_property
-    def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
+    def _set_membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
-        gauge, sets = self.problem.gauge, self.problem.sets
-        visible, share = members(self.truth, sets)
-        return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
+        gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_numbers
+        visible, share = set_membership(self.truth, sets)
+        return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def together(self, block: TrialBatch, wanted: Ints) -> tuple[Calibrated, Bools]:
+    def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
-        values, moved = self._squares(block) if self.method == "distance" else self._per_trial(block, wanted)
-        fit = self._adjusted(block, values)
-        spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
+        values, moved = (
+            self._least_squares_values(block) if self.method == "distance" else self._values_by_trial(block, wanted)
+        )
+        fit = self._adjusted_targets(block, values)
+        spread = (
+            np.sqrt(np.diag(self.nominal_estimate.covariance)).reshape(values.shape[:2])
+            * self.distance_problem.prior_sigma
+        )
         status = np.zeros(len(moved), dtype=np.int64)
-        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CONVERGED_CHANGE) & fit.converged
+        return CalibratedBlock(values, spread, fit.target_increments, fit.chi2, status), (
+            moved < CONVERGED_CHANGE
+        ) & fit.has_converged
 
-    def _squares(self, block: TrialBatch) -> tuple[Floats, Floats]:
+    def _least_squares_values(self, block: TrialBatch) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and largest change (B,) in the last step in prior sigmas."""
-        deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
-        sets, visible, share, gauge = self._membership
+        deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
+        sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        length = self.problem.gauge.length[:, None] + block.gauge_error
-        values = np.zeros((*self.problem.prior_sigma.shape, trials))
+        length = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+        values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
-        for _ in range(CAP):
-            points_of(self._program, recording.instrument, deviation, values, points)
+        for _ in range(MAX_STEPS):
+            compute_points(self._chain_program, recording.instrument, deviation, values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
-            station_means(points, sets, recording.target, share, clouds)
+            add_station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
             distance_forces(clouds, visible, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            pull_points(self._program, *membership, deviation, values, forces, gradient)
+            backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             values += step.reshape(values.shape) * prior
             moved = np.abs(step).max(axis=0)
@@ -143,56 +154,64 @@ class BatchDistance(BatchCalibrator):
                 break
         return values, moved
 
-    def _per_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
-        """Parameters and largest change, as `_squares`, of the wanted trials, each by its own matrix.
+    def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
+        """Parameters and largest change, as `_least_squares_values`, of the wanted trials, each by its own matrix.
 
         Inf for other trials.
         """
-        prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
-        unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
-        readings = {trial: self.truth.recording.readings + block.deviation[:, :, trial] for trial in wanted.tolist()}
+        prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
+        unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
+        readings = {
+            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial] for trial in wanted.tolist()
+        }
         determined = {
-            trial: self._determined if self.as_printed else self._combinations(trial_readings)
+            trial: self._estimated_combinations
+            if self.estimates_all_combinations
+            else self._trial_combinations(trial_readings)
             for trial, trial_readings in readings.items()
         }
-        for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
+        for iteration in range(MAX_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
             active = wanted[moved[wanted] >= CONVERGED_CHANGE]
             if not len(active):
                 break
-            residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
+            residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
-                by_unknown = self.problem.by_parameter(readings[trial], unknowns[:, trial])
-                design = self._pair_rows.compare @ (by_unknown @ determined[trial])
-                if self.absolute:  # every step but the first is short
-                    step = least_absolute(design, -gap, near=np.zeros(design.shape[1]) if iteration else None)
+                by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
+                design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ determined[trial])
+                if self.uses_absolute_deviations:  # every step but the first is short
+                    step = solve_least_absolute(design, -gap, start=np.zeros(design.shape[1]) if iteration else None)
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
                 unknowns[:, trial] += determined[trial] @ step
                 moved[trial] = np.abs(determined[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
-    def _combinations(self, readings: Floats) -> Floats:
+    def _trial_combinations(self, readings: Floats) -> Floats:
         """Combinations (q, k) of a trial: the axes of its objective that are nearest to the estimated ones."""
-        design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
+        design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
+            readings, np.zeros(self.distance_problem.prior_sigma.size)
+        )
         axes = np.linalg.eigh(design.T @ design)[1]
-        nearest = np.argsort(np.linalg.norm(self._determined.T @ axes, axis=0))[len(axes) - self._determined.shape[1] :]
+        nearest = np.argsort(np.linalg.norm(self._estimated_combinations.T @ axes, axis=0))[
+            len(axes) - self._estimated_combinations.shape[1] :
+        ]
         return axes[:, nearest]
 
-    def _residual(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
+    def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
         """Terms (R, B) of eq. 9 for some trials at their parameters (I, p, B)."""
-        deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
+        deviation, values = (np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], values))
         points = np.empty(deviation.shape)
-        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
-        change = self.problem.lengths(points) - self._distances.length[:, None]
-        rows, gauge = self._pair_rows, self.problem.gauge
-        certified = gauge.whitened(block.gauge_error[:, trials])
-        by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
-        return rows.residual[:, None] + rows.compare @ change + by_gauge @ certified
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
+        change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
+        rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
+        certified = gauge.decorrelate(block.length_errors[:, trials])
+        by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
+        return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ certified
 
-    def _adjusted(self, block: TrialBatch, values: Floats) -> BatchFit:
-        deviation = block.deviation
+    def _adjusted_targets(self, block: TrialBatch, values: Floats) -> BatchFit:
+        deviation = block.reading_deviations
         points = np.empty(deviation.shape)
-        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         flat = np.hypot(x, y)
         back = (self.truth.recording.face == 2)[:, None]
@@ -202,5 +221,5 @@ class BatchDistance(BatchCalibrator):
             axis=1,
         )
         corrected = raw - self.truth.recording.readings[:, :, None]
-        corrected[:, 1:] = wrap(corrected[:, 1:])
-        return self.network.fit(corrected, block.gauge_error)
+        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
+        return self.batch_network.fit_trials(corrected, block.length_errors)

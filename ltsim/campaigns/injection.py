@@ -11,33 +11,37 @@ from scipy.stats import binomtest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.extra_effects import RequestedEffect
-from ltsim.calibration.verbs import requested_effect
+from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.effects.verbs import Sized
-from ltsim.physics.laws.law import Law
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.verbs import SizedEffect
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
-from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
+from ltsim.recordings.exchange import RecordingSource, load_recording
+from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
-SIZE = "size"
+AMPLITUDE_NAME = "size"
 """Name of the amplitude of a law in text form: rms of the change of its response, in the unit of the response."""
-STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-TRIES = 25
+DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
+"""Noncentralities of a detection curve if none are given."""
+MAX_PLACE_DRAWS = 25
 """Largest number of draws of unspecified values until an injection is detectable."""
-MIN_OVERLAP = 0.5
+MIN_PLACE_OVERLAP = 0.5
 """Smallest fraction of common targets or stations at which a group of them counts as correct."""
 
 
 def inject(
-    recording: RecordingSource, *causes: str | Tunable | Sized, noncentrality: float | None = None, seed: int = 0
-) -> Injection:
+    recording: RecordingSource,
+    *causes: str | CandidateEffect | SizedEffect,
+    noncentrality: float | None = None,
+    seed: int = 0,
+) -> RecordingWithInjection:
     """Injection of effects into the readings of a recording by the exact model; everything else is unchanged.
 
     Parameters
@@ -82,25 +86,28 @@ def inject(
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
-    changed = recording_of(recording)
-    injector, injected = Injector(changed, ResidualSpace.of(adjust(changed, declared_construction(changed)))), []
+    changed = load_recording(recording)
+    injector, injected = (
+        Injector(changed, ResidualSpace.from_adjustment(adjust(changed, declared_construction(changed)))),
+        [],
+    )
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
-        drawn, values = _sized(injector, cause, noncentrality, rng)
-        changed, entry = injector.put(drawn, values, _called(cause), rng)
-        injector = injector.after(changed)
+        drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
+        changed, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
+        injector = injector.with_recording(changed)
         injected.append(entry)
-    return Injection(changed, InjectionTruth(seed, tuple(injected)))
+    return RecordingWithInjection(changed, InjectionTruth(seed, tuple(injected)))
 
 
 def injection_curve(
     recording: RecordingSource,
-    cause: str | Tunable | Sized,
+    cause: str | CandidateEffect | SizedEffect,
     *,
-    strengths: Sequence[float] = STRENGTHS,
+    strengths: Sequence[float] = DEFAULT_NONCENTRALITIES,
     injections: int = 5,
     seed: int = 0,
-) -> InjectionCurve:
+) -> DetectionCurve:
     """Detection curve: strength at which a cause is detected, located and identified in a given recording.
 
     Parameters
@@ -126,27 +133,31 @@ def injection_curve(
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a curve needs at least one injection at each strength, and strengths above 0")
-    original = recording_of(recording)
+    original = load_recording(recording)
     background = diagnose(original)
     rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
-        judged = [judge(diagnose(made), truth.causes[0], background) for made, truth in draws]
-        rows.append(_row(strength, [truth.causes[0] for _, truth in draws], judged))
+        judged = [
+            compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
+        ]
+        rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     reported = tuple(sorted({f.effect for f in background.findings}))
-    return InjectionCurve(_called(cause), reported, tuple(rows))
+    return DetectionCurve(_catalogue_name(cause), reported, tuple(rows))
 
 
-def _called(cause: str | Tunable | Sized) -> str:
-    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
+def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
+    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
-def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
+def compare_with_injection(
+    diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
+) -> dict[str, bool]:
     """Flags for the findings beyond those of the background: effect detected, located and identified."""
-    before = {_key(f) for f in background.findings}
-    new = [f for f in diagnosis.findings if _key(f) not in before]
-    placed = [f for f in new if _placed(cause.cause, f)]
-    name = cause.cause.name
+    before = {_finding_key(f) for f in background_findings.findings}
+    new = [f for f in diagnosis.findings if _finding_key(f) not in before]
+    placed = [f for f in new if _has_same_place(cause.effect, f)]
+    name = cause.effect.name
     named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
     first = new[:1]
     return {
@@ -157,72 +168,83 @@ def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[
     }
 
 
-def _key(finding: Any) -> tuple[Any, ...]:
+def _finding_key(finding: Any) -> tuple[Any, ...]:
     where = finding.where
     return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
 
 
-def _placed(cause: Tunable, finding: Any) -> bool:
+def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if stations and targets agree, or the observables for an effect without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
-    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_OVERLAP * len(a | b) for a, b in pairs)
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
     reported = set(where.observables) or set(cause.observables)
     return overlaps and bool(reported & set(cause.observables))
 
 
-def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
-    row: dict[str, float] = {"noncentrality": strength, "injections": len(judged)}
-    row["largest_um"] = float(np.mean([c.largest["distance_um"] for c in causes]))
-    row["largest_urad"] = float(np.mean([max(c.largest["azimuth_urad"], c.largest["elevation_urad"]) for c in causes]))
+def _curve_row(
+    strength: float, causes: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
+) -> dict[str, float]:
+    row: dict[str, float] = {"noncentrality": strength, "injections": len(comparisons)}
+    row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in causes]))
+    row["largest_urad"] = float(
+        np.mean([max(c.largest_changes["azimuth_urad"], c.largest_changes["elevation_urad"]) for c in causes])
+    )
     for key in ("detections", "placed", "named", "right"):
-        row[key] = sum(outcome[key] for outcome in judged)
+        row[key] = sum(outcome[key] for outcome in comparisons)
         if key != "right":
-            interval = binomtest(int(row[key]), len(judged)).proportion_ci(method="wilson")
+            interval = binomtest(int(row[key]), len(comparisons)).proportion_ci(method="wilson")
             row[f"{key}_low"], row[f"{key}_high"] = interval.low, interval.high
     return row
 
 
-def _sized(
-    injector: Injector, cause: str | Tunable | Sized, noncentrality: float | None, rng: np.random.Generator
-) -> tuple[Tunable, Floats]:
+def _scaled_injection(
+    injector: Injector,
+    cause: str | CandidateEffect | SizedEffect,
+    noncentrality: float | None,
+    random_generator: np.random.Generator,
+) -> tuple[CandidateEffect, Floats]:
     """Effect and its values [SI]; if the network absorbs the drawn ones, other places and constants are drawn."""
-    for attempt in range(TRIES):
-        drawn, values = _drawn(injector, cause, rng)
+    for attempt in range(MAX_PLACE_DRAWS):
+        drawn, values = _drawn_effect(injector, cause, random_generator)
         if noncentrality is None:
             break
         try:
-            return drawn, injector.sized(drawn, values, noncentrality)
+            return drawn, injector.scale_to_noncentrality(drawn, values, noncentrality)
         except ModelError:
-            if attempt == TRIES - 1:
+            if attempt == MAX_PLACE_DRAWS - 1:
                 raise
     return drawn, values
 
 
-def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
+def _drawn_effect(
+    injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
+) -> tuple[CandidateEffect, Floats]:
     """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
-        text, sizes = _split(cause)
-        asked = requested_effect(text, injector.recording)
+        text, sizes = _split_parameter_values(cause)
+        asked = parse_requested_effect(text, injector.recording)
     else:
-        given, sizes = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
-        asked = requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
-    effect, sightings = asked.effect, injector.space.sightings
-    candidates: Sequence[Tunable] = [effect]
-    if isinstance(effect, Mistake) and not effect.place:
-        candidates = type(effect).possible(sightings)
-    elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
-        candidates = asked.candidates(injector.space.adjustment)
+        given, sizes = (cause.effect, dict(cause.parameter_values)) if isinstance(cause, SizedEffect) else (cause, {})
+        asked = (
+            parse_requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
+        )
+    effect, sightings = asked.effect, injector.residual_space.sightings
+    candidates: Sequence[CandidateEffect] = [effect]
+    if isinstance(effect, Blunder) and not effect.place_text:
+        candidates = type(effect).possible_blunders(sightings)
+    elif isinstance(effect, Effect) and not isinstance(effect, Blunder):
+        candidates = asked.candidates(injector.residual_space.adjustment)
     if not candidates:
         raise ModelError(f"{effect.name} has no place in this recording")
-    chosen = candidates[int(rng.integers(len(candidates)))]
-    return chosen, _values(chosen, sizes, injector, rng)
+    chosen = candidates[int(random_generator.integers(len(candidates)))]
+    return chosen, _parameter_values(chosen, sizes, injector, random_generator)
 
 
-def _split(text: str) -> tuple[str, dict[str, float]]:
+def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
     """Text of an effect without the values of parameters, and these values."""
     name, _, rest = text.partition(":")
-    names = {SIZE} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
+    names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
         key, _, value = item.partition("=")
@@ -235,16 +257,22 @@ def _split(text: str) -> tuple[str, dict[str, float]]:
     return f"{name}:{','.join(words)}" if words else name, sizes
 
 
-def _values(cause: Tunable, sizes: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
-    drawn = np.array([p.prior_sigma for p in cause.parameters]) * rng.standard_normal(len(cause.parameters))
-    positive = [p.positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
+def _parameter_values(
+    cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
+) -> Floats:
+    drawn = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
+        len(cause.parameters)
+    )
+    positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
     drawn = np.where(positive, np.abs(drawn), drawn)
-    if isinstance(cause, Mistake):
+    if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
-    if not sizes:
+    if not given_values:
         return drawn
-    if isinstance(cause, Law):
-        moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.driver.size).T
-        rms = float(np.sqrt(np.mean(np.sum(moved[cause.mask(injector.space.sightings) > 0] ** 2, axis=1))))
-        return drawn * sizes[SIZE] * cause.parameters[0].factor / rms
-    return np.array([sizes.get(p.name, 0.0) * p.factor for p in cause.parameters])
+    if isinstance(cause, EmpiricalLaw):
+        moved = cause.columns(injector.residual_space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
+        rms = float(
+            np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
+        )
+        return drawn * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+    return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

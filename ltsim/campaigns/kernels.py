@@ -9,17 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.campaigns.compiled import at, compiled, inlined
+from ltsim.campaigns.compiled import compile_function, compile_inlined, trial_value
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Floats, Ints
 
 STEP_TOLERANCE = 1e-9
 """Step [m, rad] of Newton's method below which it ends; the remaining error is smaller by a factor of 1e-4."""
-STEPS = 8
+MAX_NEWTON_STEPS = 8
+"""Largest number of Newton steps of an inversion."""
 
 
-@inlined
-def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
+@compile_inlined
+def _add_small_angle(cosine: float, sine: float, small: float) -> tuple[float, float]:
     """Cosine and sine of the sum of an angle and a small one."""
     square = small * small
     s = small * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
@@ -27,8 +28,8 @@ def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
     return cosine * c - sine * s, sine * c + cosine * s
 
 
-@inlined
-def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+@compile_inlined
+def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Vector rotated by a small rotation vector (u, v, w), by Rodrigues' formula."""
     size = u * u + v * v + w * w
     a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
@@ -41,8 +42,8 @@ def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tupl
     )
 
 
-@compiled
-def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out: Floats) -> None:
+@compile_function
+def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, values: Floats, out: Floats) -> None:
     """Deviation (M, B) of the amount of each motion at pointing i, for reading deviations (3, B) and values (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = out.shape[1]
@@ -58,25 +59,30 @@ def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out
         for j in range(first[m], first[m + 1]):
             k = fed[j]
             value = values[k]
-            b = basis[k, i]
+            b = basis[k, pointing]
             if varies[k] == 0:
                 for t in range(trials):
-                    row[t] += value[t] * at(b, t)
+                    row[t] += value[t] * trial_value(b, t)
             else:
-                b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                 d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                 for t in range(trials):
-                    row[t] += value[t] * (at(b, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
+                    row[t] += value[t] * (
+                        trial_value(b, t)
+                        + trial_value(b0, t) * d0[t]
+                        + trial_value(b1, t) * d1[t]
+                        + trial_value(b2, t) * d2[t]
+                    )
         if sign[m] != 1.0:
             for t in range(trials):
                 row[t] *= sign[m]
 
 
-@compiled
-def _forward_chain(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
+@compile_function
+def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
     """Point carried from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
     turns, axis, _, _, amount, _, _, _, _, _ = chain
-    trials = moved.shape[1]
+    trials = amounts.shape[1]
     last = len(turns)
     for c in range(3):
         for t in range(trials):
@@ -84,27 +90,27 @@ def _forward_chain(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> 
     for m in range(last - 1, -1, -1):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
-        delta = moved[m]
+        delta = amounts[m]
         along, across, above = path[m + 1, a], path[m + 1, b], path[m + 1, c]
         along2, across2, above2 = path[m, a], path[m, b], path[m, c]
         if turns[m] == 0:
-            fixed = amount[m, i, 0]
+            fixed = amount[m, pointing, 0]
             for t in range(trials):
-                along2[t] = along[t] + (at(fixed, t) + delta[t])
+                along2[t] = along[t] + (trial_value(fixed, t) + delta[t])
                 across2[t] = across[t]
                 above2[t] = above[t]
         else:
-            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             for t in range(trials):
-                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
+                cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 along2[t] = along[t]
                 across2[t] = cosine * across[t] - sine * above[t]
                 above2[t] = sine * across[t] + cosine * above[t]
 
 
-@compiled
+@compile_function
 def _backpropagate(
-    i: int,
+    pointing: int,
     chain: ChainProgram,
     deviation: Floats,
     moved: Floats,
@@ -131,75 +137,82 @@ def _backpropagate(
             for j in range(first[m], first[m + 1]):
                 k = fed[j]
                 row = gradient[k]
-                b_ = basis[k, i]
+                b_ = basis[k, pointing]
                 if varies[k] == 0:
                     for t in range(trials):
-                        row[t] -= pull[t] * at(b_, t)
+                        row[t] -= pull[t] * trial_value(b_, t)
                 else:
-                    b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                    b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                     d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                     for t in range(trials):
-                        row[t] -= pull[t] * (at(b_, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
+                        row[t] -= pull[t] * (
+                            trial_value(b_, t)
+                            + trial_value(b0, t) * d0[t]
+                            + trial_value(b1, t) * d1[t]
+                            + trial_value(b2, t) * d2[t]
+                        )
         if turns[m] != 0:
-            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             delta = moved[m]
             for t in range(trials):
-                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
+                cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
                 across[t] = cosine * f1 + sine * f2
                 above[t] = cosine * f2 - sine * f1
 
 
-@compiled
-def points_of(
+@compile_function
+def compute_points(
     chain: ChainProgram,
     instrument: Ints,
     deviation: Floats,
     values: Floats,
-    out: Floats,
+    points: Floats,
 ) -> None:
     """Points (n, 3, B) [m] in the instruments' frames for reading deviations (n, 3, B) and values (I, p, B)."""
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
-        _amounts(i, chain, deviation[i], parameters, moved)
+        _motion_amounts(i, chain, deviation[i], parameters, moved)
         _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
-                out[i, c, t] = path[0, c, t]
+                points[i, c, t] = path[0, c, t]
 
 
-@compiled
-def readings_of(
+@compile_function
+def compute_readings(
     chain: ChainProgram,
     instrument: Ints,
-    local: Floats,
+    local_points: Floats,
     by_point: Floats,
     values: Floats,
     deviation: Floats,
 ) -> None:
-    """Reading deviations (n, 3, B) for which the chain reaches the points `local` (n, 3), by Newton's method.
+    """Reading deviations (n, 3, B) for which the chain reaches the points `local_points` (n, 3), by Newton's method.
 
-    `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that each step
-    reduces the residual by a factor of the size of the instrument's errors.
+    `deviation` holds the start and receives the result; `point_derivatives` (n, 3, 3) is the ideal derivative, so that
+    each step reduces the residual by a factor of the size of the instrument's errors.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
-        for _ in range(STEPS):
-            _amounts(i, chain, deviation[i], parameters, moved)
+        for _ in range(MAX_NEWTON_STEPS):
+            _motion_amounts(i, chain, deviation[i], parameters, moved)
             _forward_chain(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
             for c in range(3):
                 j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
-                l0, l1, l2 = local[i, 0], local[i, 1], local[i, 2]
+                l0, l1, l2 = local_points[i, 0], local_points[i, 1], local_points[i, 2]
                 row = deviation[i, c]
                 for t in range(trials):
                     step = (
-                        at(j0, t) * (at(l0, t) - x[t]) + at(j1, t) * (at(l1, t) - y[t]) + at(j2, t) * (at(l2, t) - z[t])
+                        trial_value(j0, t) * (trial_value(l0, t) - x[t])
+                        + trial_value(j1, t) * (trial_value(l1, t) - y[t])
+                        + trial_value(j2, t) * (trial_value(l2, t) - z[t])
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
@@ -207,8 +220,8 @@ def readings_of(
                 break
 
 
-@compiled
-def pull_points(
+@compile_function
+def backpropagate_mean_forces(
     chain: ChainProgram,
     instrument: Ints,
     owner: Ints,
@@ -228,7 +241,7 @@ def pull_points(
     force, pull = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
         tracker = instrument[i]
-        _amounts(i, chain, deviation[i], values[tracker], moved)
+        _motion_amounts(i, chain, deviation[i], values[tracker], moved)
         _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
@@ -236,7 +249,7 @@ def pull_points(
         _backpropagate(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
 
 
-@compiled
+@compile_function
 def network_gradient(
     chain: ChainProgram,
     instrument: Ints,
@@ -262,8 +275,9 @@ def network_gradient(
     The chain is followed at the *predicted* readings, never at the measured ones: a derivative taken at a reading
     with noise is correlated with that noise, which would bias the range scale by chi2 times its sigma (5e-4 sigma).
 
-    Of the nominal state are `arm` (n, 3), target less station, `rotation` (S, 3, 3) and `by_point` (n, 3, 3), the ideal
-    derivative of the readings by the local point; `weight` (n, 3) is one over sigma, zero for a reading not measured.
+    Of the nominal state are `arm` (n, 3), target less station, `rotation` (S, 3, 3) and `point_derivatives` (n, 3, 3),
+    the ideal derivative of the readings by the local point; `weight` (n, 3) is one over sigma, zero for a reading not
+    measured.
     `deviation` (n, 3, B) is measured readings less nominal ones, and less the shifts of further effects; `predicted`
     (n, 3, B) predicted ones less nominal ones: it holds those of the last state and receives one Newton step to this
     one. `pose` (S, 6, B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state; outputs are added to.
@@ -273,16 +287,18 @@ def network_gradient(
     force, pull, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
     for i in range(len(deviation)):
         parameters, s = values[instrument[i]], station[i]
-        _amounts(i, chain, predicted[i], parameters, moved)
+        _motion_amounts(i, chain, predicted[i], parameters, moved)
         _forward_chain(i, chain, moved, path)
-        _gap_to_point(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _station_to_target(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
         _reading_force(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
         _add_forces(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
         _backpropagate(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
-@compiled
-def _gap_to_point(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+@compile_function
+def _station_to_target(
+    arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats
+) -> None:
     """Vector from station to target in the network frame, and its difference from the reached point.
 
     They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
@@ -296,15 +312,19 @@ def _gap_to_point(arm: Floats, rotation: Floats, pose: Floats, point: Floats, re
     qx, qy, qz = reached[0], reached[1], reached[2]
     ax, ay, az, mx, my, mz = work[0], work[1], work[2], work[3], work[4], work[5]
     for t in range(len(px)):
-        x, y, z = at(a0, t) + px[t] - tx[t], at(a1, t) + py[t] - ty[t], at(a2, t) + pz[t] - tz[t]
-        bx, by, bz = _rotated(-wx[t], -wy[t], -wz[t], x, y, z)
+        x, y, z = (
+            trial_value(a0, t) + px[t] - tx[t],
+            trial_value(a1, t) + py[t] - ty[t],
+            trial_value(a2, t) + pz[t] - tz[t],
+        )
+        bx, by, bz = _rotate_by_small_vector(-wx[t], -wy[t], -wz[t], x, y, z)
         ax[t], ay[t], az[t] = x, y, z
-        mx[t] = (at(r00, t) * bx + at(r10, t) * by + at(r20, t) * bz) - qx[t]
-        my[t] = (at(r01, t) * bx + at(r11, t) * by + at(r21, t) * bz) - qy[t]
-        mz[t] = (at(r02, t) * bx + at(r12, t) * by + at(r22, t) * bz) - qz[t]
+        mx[t] = (trial_value(r00, t) * bx + trial_value(r10, t) * by + trial_value(r20, t) * bz) - qx[t]
+        my[t] = (trial_value(r01, t) * bx + trial_value(r11, t) * by + trial_value(r21, t) * bz) - qy[t]
+        mz[t] = (trial_value(r02, t) * bx + trial_value(r12, t) * by + trial_value(r22, t) * bz) - qz[t]
 
 
-@compiled
+@compile_function
 def _reading_force(
     by_point: Floats,
     weight: Floats,
@@ -329,20 +349,24 @@ def _reading_force(
     e0, e1, e2 = residual[0], residual[1], residual[2]
     fx, fy, fz = force[0], force[1], force[2]
     for t in range(len(cost)):
-        n0 = f0[t] + (at(j00, t) * mx[t] + at(j01, t) * my[t] + at(j02, t) * mz[t])
-        n1 = f1[t] + (at(j10, t) * mx[t] + at(j11, t) * my[t] + at(j12, t) * mz[t])
-        n2 = f2[t] + (at(j20, t) * mx[t] + at(j21, t) * my[t] + at(j22, t) * mz[t])
+        n0 = f0[t] + (trial_value(j00, t) * mx[t] + trial_value(j01, t) * my[t] + trial_value(j02, t) * mz[t])
+        n1 = f1[t] + (trial_value(j10, t) * mx[t] + trial_value(j11, t) * my[t] + trial_value(j12, t) * mz[t])
+        n2 = f2[t] + (trial_value(j20, t) * mx[t] + trial_value(j21, t) * my[t] + trial_value(j22, t) * mz[t])
         f0[t], f1[t], f2[t] = n0, n1, n2
-        d0, d1, d2 = at(w0, t) * (y0[t] - n0), at(w1, t) * (y1[t] - n1), at(w2, t) * (y2[t] - n2)
+        d0, d1, d2 = (
+            trial_value(w0, t) * (y0[t] - n0),
+            trial_value(w1, t) * (y1[t] - n1),
+            trial_value(w2, t) * (y2[t] - n2),
+        )
         e0[t], e1[t], e2[t] = d0, d1, d2
         cost[t] += d0 * d0 + d1 * d1 + d2 * d2
-        d0, d1, d2 = at(w0, t) * d0, at(w1, t) * d1, at(w2, t) * d2
-        fx[t] = at(j00, t) * d0 + at(j10, t) * d1 + at(j20, t) * d2
-        fy[t] = at(j01, t) * d0 + at(j11, t) * d1 + at(j21, t) * d2
-        fz[t] = at(j02, t) * d0 + at(j12, t) * d1 + at(j22, t) * d2
+        d0, d1, d2 = trial_value(w0, t) * d0, trial_value(w1, t) * d1, trial_value(w2, t) * d2
+        fx[t] = trial_value(j00, t) * d0 + trial_value(j10, t) * d1 + trial_value(j20, t) * d2
+        fy[t] = trial_value(j01, t) * d0 + trial_value(j11, t) * d1 + trial_value(j21, t) * d2
+        fz[t] = trial_value(j02, t) * d0 + trial_value(j12, t) * d1 + trial_value(j22, t) * d2
 
 
-@compiled
+@compile_function
 def _add_forces(
     rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats
 ) -> None:
@@ -355,10 +379,10 @@ def _add_forces(
     gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
     kx, ky, kz = by_target[0], by_target[1], by_target[2]
     for t in range(len(fx)):
-        nx = at(r00, t) * fx[t] + at(r01, t) * fy[t] + at(r02, t) * fz[t]
-        ny = at(r10, t) * fx[t] + at(r11, t) * fy[t] + at(r12, t) * fz[t]
-        nz = at(r20, t) * fx[t] + at(r21, t) * fy[t] + at(r22, t) * fz[t]
-        vx, vy, vz = _rotated(wx[t], wy[t], wz[t], nx, ny, nz)
+        nx = trial_value(r00, t) * fx[t] + trial_value(r01, t) * fy[t] + trial_value(r02, t) * fz[t]
+        ny = trial_value(r10, t) * fx[t] + trial_value(r11, t) * fy[t] + trial_value(r12, t) * fz[t]
+        nz = trial_value(r20, t) * fx[t] + trial_value(r21, t) * fy[t] + trial_value(r22, t) * fz[t]
+        vx, vy, vz = _rotate_by_small_vector(wx[t], wy[t], wz[t], nx, ny, nz)
         kx[t] += vx
         ky[t] += vy
         kz[t] += vz
@@ -370,7 +394,7 @@ def _add_forces(
         hz[t] += vx * ay[t] - vy * ax[t]
 
 
-def compiled_before() -> bool:
+def is_compiled() -> bool:
     """True if the machine code of these kernels is in the cache of this installation."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

@@ -11,14 +11,14 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM, BatchFit
 from ltsim.campaigns.kernels import network_gradient
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -27,40 +27,16 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors
-from ltsim.physics.model.measurement import MeasurementModel, Prediction, State, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.chain import inverse_of
-from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.chain import inverse_from_cholesky
+from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-CAP = 8
+MAX_STEPS = 8
+"""Largest number of Gauss-Newton steps of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
-TOLERANCE = 5e-5
-"""Largest distance to the optimum of a converged trial, in standard deviations (all unknowns together)."""
-
-
-@dataclass(frozen=True)
-class BatchFit:
-    """Adjusted trials of a batch; the last index is the trial."""
-
-    points: Floats
-    """Adjusted minus nominal targets, (T, 3, B) [m]."""
-    values: Floats
-    """Instrument parameters, (I, p, B) [SI]."""
-    extra: Floats
-    """Parameters of additional effects, (q, B) [SI]."""
-    reflectors: Mapping[str, Floats]
-    """Parameters (14, B) [SI] of `smr-incidence` of each reflector, by name."""
-    chi2: Floats
-    """Chi-square of each trial, (B,)."""
-    remainder: Floats
-    """Distance to the optimum after the last step, in standard deviations, (B,)."""
-
-    @property
-    def converged(self) -> Bools:
-        """Flags (B,) of the converged trials; NaN counts as not converged."""
-        return self.remainder < TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -69,9 +45,9 @@ class SharedQuantities:
 
     network: BatchNetwork
     """Batch network of the same set-up and pointings, with other coordinates."""
-    by_point: Floats
+    point_derivatives: Floats
     """Derivative of the nominal readings with respect to the local points, (n, 3, 3)."""
-    by_value: Floats
+    value_derivatives: Floats
     """Derivative of the nominal readings with respect to the parameters, (n, 3, p)."""
 
 
@@ -81,102 +57,110 @@ class BatchNetwork:
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
-    state: State
+    state: NetworkState
     construction: Construction
     """Construction whose parameters are estimated."""
-    program: ChainProgram
+    chain_program: ChainProgram
     """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
-    shared: SharedQuantities | None = None
+    shared_quantities: SharedQuantities | None = None
     """Quantities common to networks of the same set-up, computed if None; not used with additional effects."""
-    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    adjusted_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
         """Forward model, as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
-        if self.shared is not None:
-            vars(model)["nuisances"] = self.shared.network.model.nuisances
+        if self.shared_quantities is not None:
+            vars(model)["nuisances"] = self.shared_quantities.network.model.nuisance_errors
         return model
 
     @cached_property
     def problem(self) -> NetworkProblem:
         """Least-squares problem at the nominal state, with the rows of a single adjustment."""
-        if self.shared is None:
-            return NetworkProblem.of(self.model, use=np.tile(self.recorded, (len(self.recording), 1)))
-        return self.shared.network.problem.elsewhere(self.model)
+        if self.shared_quantities is None:
+            return NetworkProblem.from_model(
+                self.model, reading_mask=np.tile(self.adjusted_observables, (len(self.recording), 1))
+            )
+        return self.shared_quantities.network.problem.with_other_positions(self.model)
 
     @cached_property
-    def nominal(self) -> State:
+    def nominal_state(self) -> NetworkState:
         """Nominal state with zero parameters."""
         instruments = len(self.recording.instruments)
-        return State(
-            self.state.position,
-            self.state.rotation,
-            self.state.points,
-            np.zeros((instruments, self.construction.size)),
-            np.zeros(self.model.extra_size),
+        return NetworkState(
+            self.state.station_positions,
+            self.state.station_rotations,
+            self.state.target_points,
+            np.zeros((instruments, self.construction.n_parameters)),
+            np.zeros(self.model.n_extra_parameters),
         )
 
     @cached_property
-    def sizes(self) -> tuple[int, int, int, int]:
+    def end_indices(self) -> tuple[int, int, int, int]:
         """End indices of poses, targets, parameters and further effects in the vector of unknowns."""
         unknowns = self.problem.unknowns
-        pose = unknowns.pose.size
-        targets = pose + unknowns.target.size
-        values = targets + unknowns.instrument.size
-        return pose, targets, values, values + unknowns.extra.size
+        pose = unknowns.pose_columns.size
+        targets = pose + unknowns.target_columns.size
+        values = targets + unknowns.instrument_columns.size
+        return pose, targets, values, values + unknowns.extra_columns.size
 
     @cached_property
-    def order(self) -> Ints:
+    def column_order(self) -> Ints:
         """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
-        if self.shared is not None:
-            return self.shared.network.order
+        if self.shared_quantities is not None:
+            return self.shared_quantities.network.column_order
         unknowns = self.problem.unknowns
-        parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
+        parts = (unknowns.pose_columns, unknowns.target_columns, unknowns.instrument_columns, unknowns.extra_columns)
         order = np.concatenate([part.ravel() for part in parts])
-        if len(np.unique(order)) != unknowns.size:
+        if len(np.unique(order)) != unknowns.n_columns:
             raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
         return order
 
     @cached_property
-    def _other_design(self) -> tuple[Floats, Floats]:
+    def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the rows other than readings, and their nominal residuals (r, 1)."""
-        design, residual = self._system
-        count = int(self.problem.use.sum())
-        return design[count:, self.order], residual[count:, None]
+        design, residual = self._whitened_system
+        count = int(self.problem.used_readings.sum())
+        return design[count:, self.column_order], residual[count:, None]
 
     @cached_property
-    def _system(self) -> tuple[Floats, Floats]:
+    def _whitened_system(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all rows, with columns in the order of the problem, and residuals (m,)."""
         prediction = (
-            self.problem.model.linearised(self.nominal) if self.shared is None else self._prediction(self.shared)
+            self.problem.model.linearised(self.nominal_state)
+            if self.shared_quantities is None
+            else self._nominal_prediction(self.shared_quantities)
         )
-        system = self.problem.system(self.nominal, replace(prediction, by_extra=self._extra_design))
-        return as_dense(system.design), system.residual
+        system = self.problem.linear_system(
+            self.nominal_state, replace(prediction, extra_derivatives=self._extra_design)
+        )
+        return to_dense(system.design), system.whitened_residuals
 
-    def _prediction(self, shared: SharedQuantities) -> Prediction:
+    def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
         They equal those of `MeasurementModel.linearised`.
         """
         recording, state = self.recording, self.state
-        by_target = shared.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
-        arm = state.points[recording.target] - state.position[recording.station]
+        by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
-        return Prediction(recording.readings, by_pose, by_target, shared.by_value, np.zeros((len(recording), 3, 0)))
+        return Prediction(
+            recording.readings, by_pose, by_target, shared.value_derivatives, np.zeros((len(recording), 3, 0))
+        )
 
     @cached_property
-    def root(self) -> tuple[Floats, Floats]:
+    def cholesky_and_scales(self) -> tuple[Floats, Floats]:
         """Lower Cholesky factor (K, K) of the nominal normal matrix with unit columns, and column scales (K,).
 
         Raises SetupError for undetermined unknowns.
         """
-        design = self._system[0]
-        normal = (design.T @ design).take(self.order, 0).take(self.order, 1)
-        unit, scale = unit_diagonal(normal, np.diag(normal))
+        design = self._whitened_system[0]
+        normal = (design.T @ design).take(self.column_order, 0).take(self.column_order, 1)
+        unit, scale = scale_to_unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
             raise SetupError(
@@ -187,49 +171,70 @@ class BatchNetwork:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (K, K) [SI] of all unknowns at the nominal state; the first pose defines the datum."""
-        root, scale = self.root
-        return inverse_of(root) * np.outer(scale, scale)
+        root, scale = self.cholesky_and_scales
+        return inverse_from_cholesky(root) * np.outer(scale, scale)
 
     @cached_property
-    def sigma_values(self) -> Floats:
+    def parameter_sigmas(self) -> Floats:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
-        (_, start, end, _), (root, scale) = self.sizes, self.root
-        last = inverse_of(root[start:, start:])  # of the last unknowns the inverse is that of the last corner
+        (_, start, end, _), (root, scale) = self.end_indices, self.cholesky_and_scales
+        last = inverse_from_cholesky(
+            root[start:, start:]
+        )  # of the last unknowns the inverse is that of the last corner
         roots = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
-        return roots.reshape(self.problem.unknowns.instrument.shape)
+        return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
     def step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (K, B) for gradients (K, B)."""
         return self.covariance @ gradient
 
     @cached_property
-    def _geometry(self) -> tuple[np.ndarray, ...]:
+    def _sight_geometry(self) -> tuple[np.ndarray, ...]:
         recording, state = self.recording, self.state
-        arm = state.points[recording.target] - state.position[recording.station]
+        arm = state.target_points[recording.target] - state.station_positions[recording.station]
         places = (recording.instrument, recording.station, recording.target)
-        return (*places, arm, np.ascontiguousarray(state.rotation), self._by_point, 1.0 / self.sigma)
+        return (
+            *places,
+            arm,
+            np.ascontiguousarray(state.station_rotations),
+            self._point_derivatives,
+            1.0 / self.reading_sigmas,
+        )
 
     @cached_property
-    def _by_point(self) -> Floats:
+    def _point_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the local point."""
-        return sightings_of(self.recording, self.state).jacobian if self.shared is None else self.shared.by_point
+        return (
+            sightings_of(self.recording, self.state).local_derivatives
+            if self.shared_quantities is None
+            else self.shared_quantities.point_derivatives
+        )
 
     @cached_property
-    def _frame(self) -> Frame:
-        return Frame.of(self.recording) if self.shared is None else self.shared.network._frame
+    def _network_frame(self) -> DeclaredFrame:
+        return (
+            DeclaredFrame.from_recording(self.recording)
+            if self.shared_quantities is None
+            else self.shared_quantities.network._network_frame
+        )
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
         """Sightings on the floor plan, the frame of the full solver for such a network, in which nests are known."""
-        state = self.nominal
-        motion = self._frame.plan_motion(state.position, state.rotation)
+        state = self.nominal_state
+        motion = self._network_frame.plan_motion(state.station_positions, state.station_rotations)
         if motion is not None:
             turn, shift = motion
-            places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
-            state = replace(state, rotation=turn @ state.rotation, **places)
-        if self.shared is None:
+            places = {
+                "station_positions": state.station_positions @ turn.T + shift,
+                "target_points": state.target_points @ turn.T + shift,
+            }
+            state = replace(state, station_rotations=turn @ state.station_rotations, **places)
+        if self.shared_quantities is None:
             return self.model.sightings(state)
-        return self.shared.network._extra_sightings.at(state.position, state.rotation, state.points)
+        return self.shared_quantities.network._extra_sightings.with_geometry(
+            state.station_positions, state.station_rotations, state.target_points
+        )
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -241,53 +246,58 @@ class BatchNetwork:
     @cached_property
     def _expected_shift(self) -> Floats | None:
         """Expected change (n, 3, 1) of the readings by bench tests of reflectors; None for none."""
-        if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.nuisances):
+        if not any(
+            isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
+        ):
             return None
-        return self.model.extra_shift(self._extra_sightings, self.nominal.extra)[:, :, None]
+        return self.model.extra_change(self._extra_sightings, self.nominal_state.extra_parameters)[:, :, None]
 
     @cached_property
-    def sigma(self) -> Floats:
+    def reading_sigmas(self) -> Floats:
         """Standard deviation (n, 3) of the readings; infinite for unmeasured ones."""
-        return np.where(self.problem.use, self.problem.sigma, np.inf)
+        return np.where(self.problem.used_readings, self.problem.sigma, np.inf)
 
-    def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
-        pose, targets, values, _ = self.sizes
-        shape = self.nominal.instrument.shape
+        pose, targets, values, _ = self.end_indices
+        shape = self.nominal_state.instrument_parameters.shape
         return (
-            x[:pose].reshape(-1, 6, x.shape[1]),
-            x[pose:targets].reshape(-1, 3, x.shape[1]),
-            x[targets:values].reshape(*shape, x.shape[1]),
-            x[values:],
+            unknowns[:pose].reshape(-1, 6, unknowns.shape[1]),
+            unknowns[pose:targets].reshape(-1, 3, unknowns.shape[1]),
+            unknowns[targets:values].reshape(*shape, unknowns.shape[1]),
+            unknowns[values:],
         )
 
-    def fit(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
+    def fit_trials(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
         """Adjusted trials.
 
-        `deviation` (n, 3, B) is readings minus nominal readings, `gauge_error` (g, B) [m] the errors of the reference
+        `deviation` (n, 3, B) is readings minus nominal readings, `length_errors` (g, B) [m] the errors of the reference
         lengths.
         """
         if self._expected_shift is not None:
             deviation = deviation - self._expected_shift
-        x, predicted = self._linear_start(deviation, gauge_error)
+        x, predicted = self._first_step(deviation, gauge_error)
         before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        for _ in range(2, CAP + 1):
+        for _ in range(2, MAX_STEPS + 1):
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
             remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / before))
-            if not np.any(remainder >= TOLERANCE):
+            if not np.any(remainder >= MAX_DISTANCE_TO_OPTIMUM):
                 break
             before = squared
-        _, points, values, extra = self.split(x)
-        effects, reflectors = extra[: self.model.effects_size], self.model.reflectors(extra)
+        _, points, values, extra = self.split_unknowns(x)
+        effects, reflectors = (
+            extra[: self.model.n_effect_parameters],
+            self.model.incidence_parameters_by_reflector(extra),
+        )
         return BatchFit(points, values, effects, reflectors, cost - squared, remainder)
 
     @property
-    def _has_extra(self) -> bool:
-        return self.sizes[3] > self.sizes[2]
+    def _has_additional_parameters(self) -> bool:
+        return self.end_indices[3] > self.end_indices[2]
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
@@ -297,9 +307,9 @@ class BatchNetwork:
 
         If states have a last index for the trial, designs have it first.
         """
-        flat = self._extra_design.reshape(self.sigma.size, -1)
+        flat = self._extra_design.reshape(self.reading_sigmas.size, -1)
         rows = np.flatnonzero(flat.any(axis=1))
-        return rows, flat[rows], flat[rows] / self.sigma.reshape(-1, 1)[rows]
+        return rows, flat[rows], flat[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
@@ -308,23 +318,27 @@ class BatchNetwork:
         Predicted readings include poses, targets and parameters; all other contributions are subtracted from the
         measured ones.
         """
-        use, design = self.problem.use, np.zeros((3 * len(self.recording), self.sizes[-1]))
-        design[use.ravel()] = self._system[0][: int(use.sum()), self.order]  # whitened; zero where nothing is measured
+        use, design = self.problem.used_readings, np.zeros((3 * len(self.recording), self.end_indices[-1]))
+        design[use.ravel()] = self._whitened_system[0][
+            : int(use.sum()), self.column_order
+        ]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
-        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.sizes[2]]
-        by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
-        return by_reading, self.covariance @ self._other_design[0].T, predicting
+        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.end_indices[2]]
+        by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
+        return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
-    def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
+    def _first_step(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
         """First step from the nominal state as a matrix product, and the readings that it predicts, (n, 3, B)."""
         by_reading, by_other, predicting = self._start_matrices
-        nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
-        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
-        return x, (predicting @ x[: self.sizes[2]]).reshape(deviation.shape)
+        nowhere = np.zeros((self.end_indices[-1], deviation.shape[2]))
+        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
+            nowhere, gauge_error
+        )
+        return x, (predicting @ x[: self.end_indices[2]]).reshape(deviation.shape)
 
     def _gradient(
         self,
-        x: Floats,
+        increments: Floats,
         deviation: Floats,
         gauge_error: Floats | None,
         predicted: Floats,
@@ -333,43 +347,45 @@ class BatchNetwork:
     ) -> None:
         """Gradient (K, B) and cost (B,) at increments x (K, B)."""
         gradient[:], cost[:] = 0.0, 0.0
-        pose, points, values, extra = self.split(x)
-        if self._has_extra:
+        pose, points, values, extra = self.split_unknowns(increments)
+        if self._has_additional_parameters:
             rows, design, whitened = self._affected_readings
             deviation = deviation.copy()
-            deviation.reshape(-1, len(cost))[rows] -= each_times(design, extra)
-        by_pose, by_points, by_values, by_extra = self.split(gradient)
+            deviation.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
+        by_pose, by_points, by_values, by_extra = self.split_unknowns(gradient)
         residual = np.empty(deviation.shape)
-        arrays = (self.program, *self._geometry, deviation, pose, points, values, predicted)
+        arrays = (self.chain_program, *self._sight_geometry, deviation, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
-        if self._has_extra:
-            by_extra += each_times(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
-        others = self._other_rows(x, gauge_error)
-        gradient += each_times(np.swapaxes(self._other_design[0], -2, -1), others)
+        if self._has_additional_parameters:
+            by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
+        others = self._non_reading_residuals(increments, gauge_error)
+        gradient += multiply_by_trial(np.swapaxes(self._non_reading_design[0], -2, -1), others)
         cost += np.sum(others**2, axis=0)
 
-    def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
+    def _non_reading_residuals(self, increments: Floats, gauge_error: Floats | None) -> Floats:
         """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.
 
         They are linear, except the lengths, which are exact.
         """
-        design, nominal = self._other_design
-        rows = nominal - each_times(design, x)
-        gauge = self.problem.gauge
+        design, nominal = self._non_reading_design
+        rows = nominal - multiply_by_trial(design, increments)
+        gauge = self.problem.gauge_rows
         if len(gauge):
-            moved = self.split(x)[1]
-            arm = (self.state.points[gauge.first] - self.state.points[gauge.second]).reshape(len(gauge), 3, -1)
-            change = moved[gauge.first] - moved[gauge.second]
+            moved = self.split_unknowns(increments)[1]
+            arm = (
+                self.state.target_points[gauge.first_targets] - self.state.target_points[gauge.second_targets]
+            ).reshape(len(gauge), 3, -1)
+            change = moved[gauge.first_targets] - moved[gauge.second_targets]
             length = np.sqrt(np.sum(arm**2, axis=1))
             linear = length + np.sum(arm * change, axis=1) / length
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if gauge_error is not None:
                 bent += gauge_error
-            rows[: len(gauge)] += gauge.whitened(bent)
+            rows[: len(gauge)] += gauge.decorrelate(bent)
         return rows
 
 
-def each_times(matrix: Floats, columns: Floats) -> Floats:
+def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
     """Product of columns (k, B) with one matrix, or with a separate one (B, j, k) for each column."""
     if matrix.ndim == 2:
         return matrix @ columns

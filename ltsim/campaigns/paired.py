@@ -9,34 +9,43 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.campaigns.schema import terms_of
+from ltsim.campaigns.schema import sql_terms
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.results import Columns, Result, by_row
+from ltsim.core.results import ColumnValues, Result, columns_from_rows
 
 if TYPE_CHECKING:
-    from ltsim.campaigns.statistics import Statistics  # needs packages that few install
+    from ltsim.campaigns.statistics import CampaignStatistics  # needs packages that few install
 
-Place = tuple[int, str]
+CellMethod = tuple[int, str]
 """Cell and method."""
 
 
 @dataclass(frozen=True)
-class Difference:
+class PairedDifference:
     """Paired difference of a statistic: `first` minus `second` method or level on the same draws, trial by trial.
 
     `settings` are common to both; `low` and `high` are the 95 % confidence limits.
     """
 
     settings: Mapping[str, Any]
+    """Values of the other factors."""
     first: str
+    """First method or level."""
     second: str
+    """Second method or level."""
     statistic: str
+    """Name of the statistic."""
     unit: str
+    """Unit of the statistic."""
     trials: int
+    """Number of trials."""
     difference: float
+    """Mean of the statistic of the first minus that of the second."""
     low: float
+    """Lower 95 % confidence limit of the difference."""
     high: float
+    """Upper 95 % confidence limit of the difference."""
 
     @property
     def sentence(self) -> str:
@@ -50,38 +59,42 @@ class Difference:
 
 
 @dataclass(frozen=True, repr=False)
-class Paired(Result):
+class PairedDifferences(Result):
     """Differences on common draws."""
 
-    entries: tuple[Difference, ...]
+    entries: tuple[PairedDifference, ...]
 
     def _lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
         plain = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
-        return {"differences": lambda: by_row(plain)}
+        return {"differences": lambda: columns_from_rows(plain)}
 
 
-def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> Paired:
+def paired_differences(results: CampaignStatistics, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
     """Paired comparison of methods; see `Results.paired`."""
     if len(between) != 1:
         raise ModelError("paired compares two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = between.items()
     differences = []
-    for common, this, other in _pairs(results, along, first, second):
-        values = [_values(results, statistic, *place) for place in (this, other)]
+    for common, this, other in _comparison_pairs(results, along, first, second):
+        values = [_trial_values(results, statistic, *place) for place in (this, other)]
         both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
-        (mean, scatter), (less, less_scatter) = (_linear(v[1][:, keep]) for v, keep in zip(values, both, strict=True))
+        (mean, scatter), (less, less_scatter) = (
+            _mean_and_influence(v[1][:, keep]) for v, keep in zip(values, both, strict=True)
+        )
         count, gap = len(scatter), mean - less
-        half = results.half(count, float(np.std(scatter - less_scatter, ddof=1))) if count > 1 else math.inf
+        half = results.half_interval(count, float(np.std(scatter - less_scatter, ddof=1))) if count > 1 else math.inf
         this_name, other_name = (str(k) if along == "method" else f"{along} {k}" for k in (first, second))
         named = this_name, other_name, statistic, results.units.get(statistic, "")
-        differences.append(Difference(common, *named, count, gap, gap - half, gap + half))
-    return Paired(tuple(differences))
+        differences.append(PairedDifference(common, *named, count, gap, gap - half, gap + half))
+    return PairedDifferences(tuple(differences))
 
 
-def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
+def _comparison_pairs(
+    results: CampaignStatistics, along: str, first: Any, second: Any
+) -> Iterator[tuple[dict[str, Any], CellMethod, CellMethod]]:
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
     if along not in ("method", *factors):
@@ -100,14 +113,14 @@ def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator
                 yield rest | several, (cell, method), (levels.index(settings | {along: second}), method)
 
 
-def _values(results: Statistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
+def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
     """Trials (N,) of a cell and method, and the values to be averaged: (1, N) for a mean, (2, N) for a ratio."""
-    terms = terms_of(statistic)
-    table = results.of_trials(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
+    terms = sql_terms(statistic)
+    table = results.term_values(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
     return table[0], table[1:]
 
 
-def _linear(terms: Floats) -> tuple[float, Floats]:
+def _mean_and_influence(terms: Floats) -> tuple[float, Floats]:
     """Mean of (1, N), or ratio of means of (2, N), and the influence (N,) of each trial on it."""
     if len(terms) == 1:
         return float(np.mean(terms)), terms[0]

@@ -11,69 +11,77 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.geometry.kinematics.chain import Motion, Turn
+from ltsim.geometry.kinematics.chain import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import Construction
 
-DIFFERENCE_STEP = 1e-4
+DERIVATIVE_STEP = 1e-4
 """Step of the central difference for the derivative of a basis, with a relative error of 1e-9."""
 
 
 class ChainProgram(NamedTuple):
     """Kinematic chain of M motions (base outwards), n pointings and p parameters as arrays for the kernels."""
 
-    turns: Ints
+    is_rotation: Ints
     """Kind of each motion, (M,): 1 for a rotation, 0 for a translation."""
-    axis: Ints
+    axis_indices: Ints
     """Coordinate axis of each motion (0, 1, 2), (M,)."""
-    sign: Floats
+    reading_signs: Floats
     """Sign of the reading in each motion, (M,)."""
-    driven: Ints
+    reading_indices: Ints
     """Index of the reading on which the motion depends (0 range, 1 azimuth, 2 elevation), -1 for none, (M,)."""
-    amount: Floats
+    nominal_amounts: Floats
     """Nominal amount of each motion, (M, n, 2): translation in the first entry, or cosine and sine of the rotation."""
-    first: Ints
-    """Offsets (M + 1,) into `fed`: the parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
-    fed: Ints
+    parameter_offsets: Ints
+    """Offsets (M + 1,) into `parameter_indices`: the parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
+    parameter_indices: Ints
     """Parameters that act on the motions, motion after motion, (f,)."""
-    varies: Ints
+    depends_on_readings: Ints
     """Flags (p,) of the parameters whose basis depends on the readings."""
-    basis: Floats
+    basis_values: Floats
     """Basis of each parameter at the nominal readings, (p, n)."""
-    slope: Floats
+    basis_derivatives: Floats
     """Derivative of each basis with respect to the readings, (p, n, 3)."""
 
     @classmethod
-    def of(cls, construction: Construction, raw: Floats) -> Self:
+    def from_construction(cls, construction: Construction, raw: Floats) -> Self:
         """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
         slots = [term.slot for term in construction.terms]
-        fed = {m.slot: [k for k, slot in enumerate(slots) if slot == m.slot] for m in construction.chain if m.slot}
-        motions = [m for m in construction.chain if m.nominal is not None or fed.get(m.slot)]
+        fed = {
+            m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
+            for m in construction.kinematic_chain
+            if m.slot
+        }
+        motions = [m for m in construction.kinematic_chain if m.nominal is not None or fed.get(m.slot)]
         feeds = [fed.get(m.slot, []) for m in motions]
-        slope = _slopes(construction, raw)
+        slope = _basis_derivatives(construction, raw)
         return cls(
-            turns=np.array([isinstance(m, Turn) for m in motions], dtype=np.int64),
-            axis=np.array([m.axis for m in motions], dtype=np.int64),
-            sign=np.array([m.sign for m in motions]),
-            driven=np.array([_driven(m) for m in motions], dtype=np.int64),
-            amount=np.array([_nominal(m, raw) for m in motions]),
-            first=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
-            fed=np.array([k for f in feeds for k in f], dtype=np.int64),
-            varies=np.any(slope != 0, axis=(1, 2)).astype(np.int64),
-            basis=np.ascontiguousarray(construction.bases(raw).T),
-            slope=slope,
+            is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
+            axis_indices=np.array([m.axis for m in motions], dtype=np.int64),
+            reading_signs=np.array([m.sign for m in motions]),
+            reading_indices=np.array([_reading_index(m) for m in motions], dtype=np.int64),
+            nominal_amounts=np.array([_nominal_amount(m, raw) for m in motions]),
+            parameter_offsets=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
+            parameter_indices=np.array([k for f in feeds for k in f], dtype=np.int64),
+            depends_on_readings=np.any(slope != 0, axis=(1, 2)).astype(np.int64),
+            basis_values=np.ascontiguousarray(construction.basis_values(raw).T),
+            basis_derivatives=slope,
         )
 
-    def spread(self, trials: int) -> Self:
+    def split_trials(self, trials: int) -> Self:
         """Arrays with a last index for the trial, from rows in which all trials of a pointing follow each other."""
 
         def per_trial(rows: Floats) -> Floats:
             by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
             return np.ascontiguousarray(np.moveaxis(by_trial, 2, -1))
 
-        return self._replace(amount=per_trial(self.amount), basis=per_trial(self.basis), slope=per_trial(self.slope))
+        return self._replace(
+            nominal_amounts=per_trial(self.nominal_amounts),
+            basis_values=per_trial(self.basis_values),
+            basis_derivatives=per_trial(self.basis_derivatives),
+        )
 
 
-def _driven(motion: Motion) -> int:
+def _reading_index(motion: ElementaryMotion) -> int:
     """Index of the reading on which a motion depends, -1 for none.
 
     Amounts are constant, or a reading plus a constant.
@@ -85,16 +93,16 @@ def _driven(motion: Motion) -> int:
     return next((c for c in range(3) if moved[c + 1] != moved[0]), -1)
 
 
-def _nominal(motion: Motion, raw: Floats) -> Floats:
+def _nominal_amount(motion: ElementaryMotion, raw: Floats) -> Floats:
     amount = np.zeros(len(raw)) if motion.nominal is None else motion.sign * motion.nominal(raw)
-    if isinstance(motion, Turn):
+    if isinstance(motion, RotationStep):
         return np.stack([np.cos(amount), np.sin(amount)], axis=1)
     return np.stack([amount, np.zeros_like(amount)], axis=1)
 
 
-def _slopes(construction: Construction, raw: Floats) -> Floats:
+def _basis_derivatives(construction: Construction, raw: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis with respect to the readings."""
-    step = DIFFERENCE_STEP * np.eye(3)[:, None, :]
+    step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
-    ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
-    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DIFFERENCE_STEP), 1, 2))
+    ahead, behind = construction.basis_values(moved).T.reshape(construction.n_parameters, 2, 3, len(raw)).swapaxes(0, 1)
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DERIVATIVE_STEP), 1, 2))

@@ -25,11 +25,11 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr
 
-from ltsim.calibration.verbs import requested_effect
-from ltsim.campaigns.recovery_checks import CHECKS, RecoveryCheck
+from ltsim.calibration.verbs import parse_requested_effect
+from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
-    PARAMETERS,
-    TRIALS,
+    PARAMETERS_TABLE,
+    TRIALS_TABLE,
     FailedTrial,
     RecoveredParameter,
     RecoverySettings,
@@ -37,27 +37,27 @@ from ltsim.campaigns.recovery_trials import (
     RecoveryTrials,
     run_trials,
 )
-from ltsim.campaigns.schema import Errors, Whole
-from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
+from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
+from ltsim.campaigns.scoring import ExternalCalibrator, TrialScore, split_command
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
-from ltsim.core.units import in_unit
+from ltsim.core.units import parse_in_unit
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import each_of
-from ltsim.physics.model.construction import construction as construction_called
+from ltsim.physics.effects.verbs import effect_tuple
+from ltsim.physics.model.construction import make_construction as construction_called
 from ltsim.recordings.result_file import ResultFile
-from ltsim.simulation.physics import construction_of
+from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
-MAX_FAILURES = 3
+MAX_EARLY_FAILURES = 3
 """Number of trials without a result of an external calibrator after which the run ends: a command that does not work
 fails at once, and the check of convergence fails with the first.
 """
-MAX_NAMED = 3
-"""Parameters that a sentence names; the table and the file have all."""
+MAX_LISTED_PARAMETERS = 3
+"""Largest number of parameters that a sentence lists; the table and the file have all."""
 
 
 class Recovery(ResultFile):
@@ -68,13 +68,13 @@ class Recovery(ResultFile):
     """Format and version of this file."""
     passed: bool
     """True if all checks passed and no parameter is unchecked (unless that is permitted)."""
-    errors: Errors = "drawn"
+    errors: ErrorOrigin = "drawn"
     """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
-    trials: Whole
+    trials: NonNegativeInt
     """Number of trials."""
-    converged: Whole
+    converged: NonNegativeInt
     """Number of trials with a result."""
-    seed: Whole
+    seed: NonNegativeInt
     """Root of the random draws."""
     checks: tuple[RecoveryCheck, ...]
     """Checks of one number each; with these bounds a correct model fails any of them in one run of a hundred."""
@@ -91,20 +91,20 @@ class Recovery(ResultFile):
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
     @classmethod
-    def of(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
+    def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
         """Result of the trials."""
-        checks, unchecked = tuple(trials.checks()), trials.unchecked()
+        checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
         made = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
             errors=trials.errors,
             trials=len(trials.trials),
-            converged=len(trials.converged),
+            converged=len(trials.trials_with_result),
             seed=seed,
             checks=checks,
-            parameters=trials.parameters(),
+            parameters=trials.parameter_statistics(),
             unchecked=unchecked,
             allow_unchecked=allow_unchecked,
-            tolerances={name: tolerance.words for name, tolerance in trials.tolerance.items()},
+            tolerances={name: tolerance.text for name, tolerance in trials.tolerance.items()},
             problem=trials.problem,
         )
         made._arrays = trials
@@ -119,25 +119,25 @@ class Recovery(ResultFile):
 
     def _lines(self) -> list[str]:
         return [
-            f"Recovery, errors {self.errors}: {self.trials} trials, {self.converged} converged: {self.verdict()}",
-            *self.problems(),
+            f"Recovery, errors {self.errors}: {self.trials} trials, {self.converged} converged: {self.verdict_text()}",
+            *self.failure_sentences(),
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "checks": lambda: CHECKS.filled(self.checks),
-            "parameters": lambda: PARAMETERS.filled(self.parameters),
-            "trials": lambda: TRIALS.filled(self.arrays.rows()),
+            "checks": lambda: CHECKS_TABLE.filled(self.checks),
+            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
+            "trials": lambda: TRIALS_TABLE.filled(self.arrays.trial_rows()),
         }
 
-    def failures(self) -> list[RecoveryCheck]:
+    def failed_checks(self) -> list[RecoveryCheck]:
         """Checks that fail."""
         return [check for check in self.checks if not check.passed]
 
-    def verdict(self) -> str:
+    def verdict_text(self) -> str:
         """Text of the result in a few words."""
         within = "the given tolerances" if self.tolerances else "its declared uncertainty"
-        if self.failures():
+        if self.failed_checks():
             return "the check fails"
         if not self.unchecked:
             return f"everything is recovered within {within}"
@@ -146,14 +146,17 @@ class Recovery(ResultFile):
             return "no parameter is checked"
         return f"{checked} of {count} parameters are recovered within {within}, the others are not checked"
 
-    def problems(self) -> list[str]:
+    def failure_sentences(self) -> list[str]:
         """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
-        sentences = [check.sentence() for check in self.failures()]
+        sentences = [check.sentence() for check in self.failed_checks()]
         if self.problem and self.converged < self.trials:
             sentences.insert(0, self.problem)
         if unchecked := self.unchecked:
             example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
-            several = f"{len(unchecked)} of {len(self.parameters)} parameters ({listing(unchecked, MAX_NAMED)}) are"
+            several = (
+                f"{len(unchecked)} of {len(self.parameters)} parameters "
+                f"({listing(unchecked, MAX_LISTED_PARAMETERS)}) are"
+            )
             sentences.append(
                 f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
                 f"not declare the standard deviation in every trial; let it declare one, or give a tolerance such as "
@@ -169,10 +172,10 @@ def recover(
     method: str = "network",
     construction: str | None = None,
     with_effects: str | Effect | Sequence[str | Effect] = (),
-    calibrator: Calibrator | None = None,
+    calibrator: ExternalCalibrator | None = None,
     tolerance: Mapping[str, str] | None = None,
     allow_unchecked: bool = False,
-    errors: Errors | None = None,
+    errors: ErrorOrigin | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
@@ -222,63 +225,63 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
-    true_construction, mode = construction_of(scenario), errors or errors_of(scenario)
+    true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
     if mode not in ("drawn", "stated"):
         raise unknown_name("mode of errors", mode, ("drawn", "stated"))
     if isinstance(calibrator, str):
-        checked_command(calibrator)
+        split_command(calibrator)
     elif calibrator is not None:
         jobs = 1
-    named = each_of(with_effects)
+    named = effect_tuple(with_effects)
     example = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
+    extra_effects = tuple(parse_requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)
     how = RecoverySettings(method, built, extra_effects, calibrator, mode)
-    began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
+    began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
     with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
         for outcome in outcomes:
             if isinstance(outcome, FailedTrial):
-                failed, problem = failed + outcome.foreign, outcome.reason
+                failed, problem = failed + outcome.is_external, outcome.reason
             else:
-                within = within or _within(given, outcome)
-                _check_same_parameters(outcome, done)
+                within = within or _parse_tolerances(given, outcome)
+                _require_same_parameters(outcome, done)
             done.append(None if isinstance(outcome, FailedTrial) else outcome)
             progress(1)
-            if failed == MAX_FAILURES:
+            if failed == MAX_EARLY_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
                 break
     made = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)
-    return Recovery.of(made, seed=seed, allow_unchecked=allow_unchecked)
+    return Recovery.from_trials(made, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _check_same_parameters(trial: Trial, before: Sequence[Trial | None]) -> None:
+def _require_same_parameters(trial: TrialScore, before: Sequence[TrialScore | None]) -> None:
     """Check that a trial has the parameters of the first trial with a result; raises RecordError."""
     first = next((other for other in before if other is not None), trial)
-    if trial.names != first.names:
-        differing = sorted({*trial.names} ^ {*first.names})[0]
+    if trial.parameter_names != first.parameter_names:
+        differing = sorted({*trial.parameter_names} ^ {*first.parameter_names})[0]
         raise RecordError(f"trial {len(before)}: the calibrator gives {differing} in a part of the trials only")
 
 
-def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTolerance]:
+def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
     """Tolerances such as ``2 urad`` in the units of a trial's parameters.
 
     Raises SetupError for another kind of unit.
     """
     given = {}
     for name, words in tolerance.items():
-        if name not in trial.names:
-            raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.names)}")
-        unit = trial.units[trial.names.index(name)]
-        value = in_unit(words, unit)
+        if name not in trial.parameter_names:
+            raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
+        unit = trial.parameter_units[trial.parameter_names.index(name)]
+        value = parse_in_unit(words, unit)
         if value is None or not value > 0:
             raise SetupError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
         given[name] = RecoveryTolerance(value, words)
     return given
 
 
-def errors_of(scenario: Scenario) -> Errors:
+def suggested_error_origin(scenario: Scenario) -> ErrorOrigin:
     """Mode that a scenario suggests: `stated` if it declares an error of an instrument."""
-    return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers.values()) else "drawn"
+    return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

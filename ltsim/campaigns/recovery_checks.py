@@ -17,21 +17,30 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
-FALSE_ALARM = 0.01
+FALSE_ALARM_RATE = 0.01
 """Probability that a correct model fails any of the checks."""
-COVERED = 0.95
+NOMINAL_COVERAGE = 0.95
+"""Nominal fraction of the intervals that contain the truth."""
 MIN_TRIALS = 2
 """Smallest number of trials for a standard deviation."""
-MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
-CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
-MAX_RELATIVE_SPREAD = float(np.sqrt(2.0))
+MEAN_Z_MARGIN = 0.1
+"""Permitted deviation of the mean z-score from 0, in addition to chance."""
+DEVIATION_Z_MARGIN = 0.05
+"""Permitted deviation of the standard deviation of z-scores from 1, in addition to chance."""
+COVERAGE_MARGIN = 0.015
+"""Permitted deviation of the coverage from its nominal value, in addition to chance."""
+CHI2_MARGIN = 0.02
+"""Permitted relative deviation of the total chi-square from its expectation, in addition to chance."""
+NETWORK_MARGIN = 0.05
+"""Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to chance."""
+MAX_RELATIVE_DEVIATION = float(np.sqrt(2.0))
 """Largest ratio of the standard deviation of a mean square to its mean, reached if all averaged values are equal."""
 
 
 class RecoveryCheck(Entry):
     """Check that a number lies between two bounds."""
 
-    what: str
+    subject: str
     """Subject of the check: a parameter, chi-square, targets or stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
@@ -45,22 +54,22 @@ class RecoveryCheck(Entry):
     """True if the number lies between the bounds."""
 
     @classmethod
-    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
+    def from_value(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
         """Check of a number; NaN fails."""
         passed = bool(low <= value <= high)
-        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
+        return cls(subject=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
-    def within(self, low: float, high: float) -> Self:
+    def with_limits(self, low: float, high: float) -> Self:
         """Check of the same number with other limits."""
-        return self.of(self.what, self.statistic, math.nan if self.value is None else self.value, low, high)
+        return self.from_value(self.subject, self.statistic, math.nan if self.value is None else self.value, low, high)
 
     def sentence(self) -> str:
         """Sentence with the value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
-        return f"{self.what} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
+        return f"{self.subject} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
 
 
-CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
+CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
 
 
 def recovery_checks(
@@ -70,7 +79,7 @@ def recovery_checks(
     *,
     names: Sequence[str] | None = None,
     tolerance: Mapping[str, float] | None = None,
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: float = FALSE_ALARM_RATE,
 ) -> list[RecoveryCheck]:
     """Checks that true values are recovered within declared sigmas, within given tolerances, or both.
 
@@ -131,48 +140,52 @@ def recovery_checks(
     return checks
 
 
-def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> RecoveryCheck:
+def tolerance_check(name: str, error: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
     """Check that 95 % of the errors (N,) lie within a tolerance."""
     share = float(np.mean(np.abs(error) <= tolerance))
-    return RecoveryCheck.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
+    return RecoveryCheck.from_value(
+        name, f"share of errors within {tolerance_text or f'{tolerance:g}'}", share, NOMINAL_COVERAGE, 1.0
+    )
 
 
-def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
+def parameter_checks(name: str, z_scores: Floats, level: float) -> list[RecoveryCheck]:
     """Checks of mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
-    count = len(z)
-    shift = max(MEAN_WITHIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
+    count = len(z_scores)
+    shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
-    inside = stats.binom.ppf([level / 2, 1 - level / 2], count, COVERED) / count
-    covered = float(np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED))))
-    deviation = min(1 - SPREAD_WITHIN, np.sqrt(tails[0])), max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))
-    held = min(COVERED - COVERAGE_WITHIN, inside[0]), max(COVERED + COVERAGE_WITHIN, inside[1])
+    inside = stats.binom.ppf([level / 2, 1 - level / 2], count, NOMINAL_COVERAGE) / count
+    covered = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
+    deviation = min(1 - DEVIATION_Z_MARGIN, np.sqrt(tails[0])), max(1 + DEVIATION_Z_MARGIN, np.sqrt(tails[1]))
+    held = min(NOMINAL_COVERAGE - COVERAGE_MARGIN, inside[0]), max(NOMINAL_COVERAGE + COVERAGE_MARGIN, inside[1])
     return [
-        RecoveryCheck.of(name, "mean z-score", float(z.mean()), -shift, shift),
-        RecoveryCheck.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, deviation)),
-        RecoveryCheck.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
+        RecoveryCheck.from_value(name, "mean z-score", float(z_scores.mean()), -shift, shift),
+        RecoveryCheck.from_value(
+            name, "standard deviation of the z-scores", float(z_scores.std(ddof=1)), *map(float, deviation)
+        ),
+        RecoveryCheck.from_value(name, "coverage of 95 % intervals", covered, *map(float, held)),
     ]
 
 
-def fixed_truth_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
+def fixed_truth_checks(name: str, z_scores: Floats, level: float) -> list[RecoveryCheck]:
     """Checks of z-scores (N,) for a fixed truth and a calibrator with unknown prior.
 
     A prior may make sigmas larger than the scatter, but never smaller: standard deviation and coverage therefore have
     one limit each, and the mean has two.
     """
-    mean, spread, coverage = parameter_checks(name, z, level)
-    return [mean, spread.within(0.0, spread.high), coverage.within(coverage.low, 1.0)]
+    mean, spread, coverage = parameter_checks(name, z_scores, level)
+    return [mean, spread.with_limits(0.0, spread.high), coverage.with_limits(coverage.low, 1.0)]
 
 
-def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> RecoveryCheck:
+def chi_square_check(chi2: Floats, expected: Floats, deviation: Floats, level: float) -> RecoveryCheck:
     """Check of the total chi-square relative to its expectation, as a scaled chi-square (Satterthwaite)."""
-    mean, variance = float(np.sum(expected)), float(np.sum(spread**2))
+    mean, variance = float(np.sum(expected)), float(np.sum(deviation**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
-    low, high = min(1 - CHI2_WITHIN, float(tails[0])), max(1 + CHI2_WITHIN, float(tails[1]))
-    return RecoveryCheck.of("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
+    low, high = min(1 - CHI2_MARGIN, float(tails[0])), max(1 + CHI2_MARGIN, float(tails[1]))
+    return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
-def mean_check(what: str, statistic: str, values: Floats, level: float) -> RecoveryCheck:
+def mean_check(subject: str, statistic: str, values: Floats, level: float) -> RecoveryCheck:
     """Check that the mean of values (N,), one per trial, is one.
 
     The limits follow from the median absolute deviation relative to the median, so that values that are all too large,
@@ -181,7 +194,9 @@ def mean_check(what: str, statistic: str, values: Floats, level: float) -> Recov
     middle = float(np.median(values))
     deviation = float(np.median(np.abs(values - middle)))
     relative = (
-        min(deviation / (stats.norm.ppf(0.75) * middle), MAX_RELATIVE_SPREAD) if middle > 0 else MAX_RELATIVE_SPREAD
+        min(deviation / (stats.norm.ppf(0.75) * middle), MAX_RELATIVE_DEVIATION)
+        if middle > 0
+        else MAX_RELATIVE_DEVIATION
     )
-    within = max(WHOLE_WITHIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
-    return RecoveryCheck.of(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)
+    within = max(NETWORK_MARGIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
+    return RecoveryCheck.from_value(subject, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)

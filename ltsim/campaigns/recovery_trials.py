@@ -12,9 +12,9 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery_checks import (
-    COVERED,
-    FALSE_ALARM,
+    FALSE_ALARM_RATE,
     MIN_TRIALS,
+    NOMINAL_COVERAGE,
     RecoveryCheck,
     chi_square_check,
     fixed_truth_checks,
@@ -22,27 +22,33 @@ from ltsim.campaigns.recovery_checks import (
     parameter_checks,
     tolerance_check,
 )
-from ltsim.campaigns.schema import Errors
-from ltsim.campaigns.scoring import Calibrator, Trial, estimates_by, score, score_estimates
+from ltsim.campaigns.schema import ErrorOrigin
+from ltsim.campaigns.scoring import (
+    ExternalCalibrator,
+    TrialScore,
+    run_external_calibrator,
+    score_calibration,
+    score_estimates,
+)
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.results import Table, columns_of, numbers, texts
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.physics import instrument_law
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.physics import instrument_error_distribution
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure, place_key
+from ltsim.simulation.simulator import measure_trial, placing_stream_key
 
 
 class RecoveryTolerance(NamedTuple):
     """Largest permitted error in the parameter's unit, and its text."""
 
-    value: float
-    words: str
+    max_error: float
+    text: str
 
 
 class RecoveredParameter(Entry):
@@ -70,8 +76,8 @@ class RecoveredParameter(Entry):
     """Upper 95 % confidence limit of that mean."""
 
 
-PARAMETERS = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
-TRIALS = Table(
+PARAMETERS_TABLE = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
+TRIALS_TABLE = Table(
     "trials.csv",
     "estimates of the trials with a result, one row per trial and parameter",
     (
@@ -89,7 +95,7 @@ class FailedTrial(NamedTuple):
 
     reason: str
     """Reason of the failure, as a sentence."""
-    foreign: bool
+    is_external: bool
     """True for a failure of an external calibrator."""
 
 
@@ -100,24 +106,24 @@ class RecoverySettings:
     method: str = "network"
     construction: Construction | None = None
     extra_effects: tuple[RequestedEffect, ...] = ()
-    calibrator: Calibrator | None = None
-    errors: Errors = "drawn"
+    calibrator: ExternalCalibrator | None = None
+    errors: ErrorOrigin = "drawn"
     """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
 
 
 def run_trials(
-    scenario: Scenario, trials: int, how: RecoverySettings, *, seed: int = 0, jobs: int = 1
-) -> Generator[Trial | FailedTrial, None, None]:
+    scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
+) -> Generator[TrialScore | FailedTrial, None, None]:
     """Trials in order, one by one; they are identical for any number of processes.
 
     Raises SetupError for a parameter of the calibrator that is not drawn.
     """
-    made = from_prior(scenario) if how.errors == "drawn" else scenario
-    work = ((made, seed, index, how) for index in range(trials))
-    yield from parallel(run_trial, work, min(jobs, trials), batch=4)
+    made = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
+    work = ((made, seed, index, settings) for index in range(trials))
+    yield from run_parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
-def from_prior(scenario: Scenario) -> Scenario:
+def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
     drawn = {"errors": {"draw": True}, "error_factor": 1.0}
     named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
@@ -126,112 +132,126 @@ def from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) -> Trial | FailedTrial:
+def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
-    work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
-    recording, truth = measure(work, seed, index)
-    law = instrument_law(work.scenario, work.construction)
-    names = work.construction.names_of(tuple(work.scenario.trackers))
+    work = make_geometry(scenario, seed, *placing_stream_key(index, "per-trial"))
+    recording, truth = measure_trial(work, seed, index)
+    law = instrument_error_distribution(work.scenario, work.construction)
+    names = work.construction.instrument_parameter_names(tuple(work.scenario.trackers_in_use))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
     reference = None
     try:
-        reference = score(calibrated(recording, how, how.construction or work.construction), truth, laws)
+        reference = score_calibration(
+            calibrate_with(recording, settings, settings.construction or work.construction), truth, laws
+        )
     except LtsimError as problem:
-        if how.calibrator is None and not isinstance(problem, ConvergenceError):
+        if settings.calibrator is None and not isinstance(problem, ConvergenceError):
             raise
         reason = f"trial {index}: {problem}"
-    if how.calibrator is None:
-        return FailedTrial(reason, foreign=False) if reference is None else reference
+    if settings.calibrator is None:
+        return FailedTrial(reason, is_external=False) if reference is None else reference
     try:
-        estimates = estimates_by(how.calibrator, recording, f"trial {index}")
+        estimates = run_external_calibrator(settings.calibrator, recording, f"trial {index}")
     except CalibratorError as problem:
-        return FailedTrial(str(problem), foreign=True)
-    return score_estimates(estimates, truth, how.errors, reference)
+        return FailedTrial(str(problem), is_external=True)
+    return score_estimates(estimates, truth, settings.errors, reference)
 
 
-def calibrated(recording: Recording, how: RecoverySettings, construction: Construction) -> Calibration:
+def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:
     """Calibration by one of ltsim's methods."""
-    if how.method == "network":
-        return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
-    return calibrate_distance(recording, construction, method=how.method, advise=False)
+    if settings.method == "network":
+        return calibrate_network(
+            recording,
+            construction,
+            recommend_measurements=False,
+            choose_correction=False,
+            extra_effects=settings.extra_effects,
+        )
+    return calibrate_distance(recording, construction, method=settings.method, advise=False)
 
 
 @dataclass(frozen=True)
 class RecoveryTrials(ValueEquality):
     """All trials of a recovery check, with the statistics that are checked; a trial without a result is None."""
 
-    trials: tuple[Trial | None, ...]
-    errors: Errors = "drawn"
+    trials: tuple[TrialScore | None, ...]
+    errors: ErrorOrigin = "drawn"
     tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by parameter; only these parameters are checked, if there are any."""
-    seconds: float = 0.0
+    run_time: float = 0.0
     """Run time of the trials [s]."""
     problem: str = ""
     """Reason of the last failure of a trial."""
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return self.converged[0].names if self.converged else ()
+        return self.trials_with_result[0].parameter_names if self.trials_with_result else ()
 
     @property
-    def converged(self) -> list[Trial]:
+    def trials_with_result(self) -> list[TrialScore]:
         """Trials with a result."""
         return [trial for trial in self.trials if trial is not None]
 
-    def _stacked(self, what: str) -> Floats:
-        return np.stack([getattr(trial, what) for trial in self.converged])
+    def _stack_attribute(self, attribute: str) -> Floats:
+        return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
 
     @property
-    def z(self) -> Floats:
+    def z_scores(self) -> Floats:
         """Errors of the parameters divided by their declared sigmas, (N, p)."""
-        return self._stacked("z")
+        return self._stack_attribute("z_scores")
 
-    def unchecked(self) -> tuple[str, ...]:
+    def unchecked_parameters(self) -> tuple[str, ...]:
         """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
-        if self.tolerance or not self.converged:
+        if self.tolerance or not self.trials_with_result:
             return ()
-        judged = np.all(np.isfinite(self.z), axis=0)
-        return tuple(name for name, checked in zip(self.names, judged, strict=True) if not checked)
+        judged = np.all(np.isfinite(self.z_scores), axis=0)
+        return tuple(name for name, checked in zip(self.parameter_names, judged, strict=True) if not checked)
 
-    def rows(self) -> list[dict[str, object]]:
+    def trial_rows(self) -> list[dict[str, object]]:
         """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
         return [
-            {"trial": number, "parameter": name, "unit": trial.units[k], "truth": trial.truth[k],
-             "estimate": trial.estimate[k], "sigma": trial.sigma[k], "z": trial.z[k],
-             "ltsim_estimate": None if trial.other is None else trial.other.estimate[k]}
+            {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
+             "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
+             "ltsim_estimate": None if trial.ltsim_estimates is None else trial.ltsim_estimates.estimates[k]}
             for number, trial in enumerate(self.trials)
             if trial is not None
-            for k, name in enumerate(trial.names)
+            for k, name in enumerate(trial.parameter_names)
         ]  # fmt: skip
 
-    def parameters(self) -> tuple[RecoveredParameter, ...]:
+    def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, with those of ltsim's calibrator if an external one is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.converged) >= MIN_TRIALS:
-            error, z = self._stacked("estimate") - self._stacked("truth"), self.z
+        if len(self.trials_with_result) >= MIN_TRIALS:
+            error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
                 "mean_z": z.mean(axis=0).tolist(),
                 "deviation_z": z.std(axis=0, ddof=1).tolist(),
-                "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED)), axis=0).tolist(),
-                **self._against_ltsim(error),
+                "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE)), axis=0).tolist(),
+                **self._comparison_columns(error),
             }
-        units = self.converged[0].units if self.converged else ()
+        units = self.trials_with_result[0].parameter_units if self.trials_with_result else ()
         return tuple(
             RecoveredParameter(parameter=name, unit=unit, **{key: column[k] for key, column in columns.items()})
-            for k, (name, unit) in enumerate(zip(self.names, units, strict=True))
+            for k, (name, unit) in enumerate(zip(self.parameter_names, units, strict=True))
         )
 
-    def _against_ltsim(self, error: Floats) -> dict[str, Sequence[float]]:
+    def _comparison_columns(self, error: Floats) -> dict[str, Sequence[float]]:
         """Columns with ltsim's estimates of the same recordings.
 
         `error` (N, p) are the errors of the checked calibrator.
         """
-        both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
+        both = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_estimates is not None]
         if len(both) < MIN_TRIALS:
             return {}
-        reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
+        reference = np.stack(
+            [
+                t.ltsim_estimates.estimates - t.true_values
+                for t in self.trials_with_result
+                if t.ltsim_estimates is not None
+            ]
+        )
         gap, count = np.abs(error[both]) - np.abs(reference), len(both)
         half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return {
@@ -243,19 +263,23 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
-        lost = len(self.trials) - len(self.converged)
-        checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
-        if len(self.converged) < MIN_TRIALS:
+        lost = len(self.trials) - len(self.trials_with_result)
+        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", lost, 0, 0)]
+        if len(self.trials_with_result) < MIN_TRIALS:
             return checks
-        chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
-        level = FALSE_ALARM / (4 * len(chosen) + 3)
-        checks += [check for k in chosen for check in self._of_parameter(k, level)]
-        return checks if self.tolerance else checks + self._whole(level)
+        chosen = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
+        level = FALSE_ALARM_RATE / (4 * len(chosen) + 3)
+        checks += [check for k in chosen for check in self._parameter_checks(k, level)]
+        return checks if self.tolerance else checks + self._network_checks(level)
 
-    def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
+    def _parameter_checks(self, parameter_index: int, level: float) -> list[RecoveryCheck]:
         """Checks of a parameter; its z-scores are checked if every trial has one."""
-        name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
-        foreign, checks = self.converged[0].foreign, list[RecoveryCheck]()
+        name, standard, z = (
+            self.parameter_names[parameter_index],
+            self._stack_attribute("standard_z_scores")[:, parameter_index],
+            self.z_scores[:, parameter_index],
+        )
+        foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, level)
         if self.errors == "stated" and np.all(np.isfinite(z)):
@@ -264,17 +288,21 @@ class RecoveryTrials(ValueEquality):
             checks.append(coverage)
         if self.tolerance:
             given = self.tolerance[name]
-            error = self._stacked("estimate")[:, k] - self._stacked("truth")[:, k]
-            checks.append(tolerance_check(name, error, given.value, given.words))
+            error = (
+                self._stack_attribute("estimates")[:, parameter_index]
+                - self._stack_attribute("true_values")[:, parameter_index]
+            )
+            checks.append(tolerance_check(name, error, given.max_error, given.text))
         return checks
 
-    def _whole(self, level: float) -> list[RecoveryCheck]:
-        parts, checks = [trial.network for trial in self.converged], []
-        if all(np.isfinite(part.expected) for part in parts):
-            chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))
+    def _network_checks(self, level: float) -> list[RecoveryCheck]:
+        parts, checks = [trial.network_score for trial in self.trials_with_result], []
+        if all(np.isfinite(part.expected_chi2) for part in parts):
+            names = ("chi2", "expected_chi2", "chi2_deviation")
+            chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
             checks.append(chi_square_check(chi2, expected, spread, level))
         for what in ("targets", "stations"):
-            squares = np.array([getattr(part, what) for part in parts])
+            squares = np.array([getattr(part, f"{what[:-1]}_mean_square") for part in parts])
             if np.all(np.isfinite(squares)):
                 checks.append(mean_check(what, "mean squared error over variance", squares, level))
         return checks

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.campaigns.paired import Paired, paired
-from ltsim.campaigns.schema import CHECKED, SHARES, column_of
-from ltsim.campaigns.statistics import Spread, Statistics
+from ltsim.campaigns.paired import PairedDifferences, paired_differences
+from ltsim.campaigns.schema import DIFFERENCE_COLUMN, RATIO_STATISTICS, find_column
+from ltsim.campaigns.statistics import CampaignStatistics, StatisticSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, missing_extra
 from ltsim.core.plotting import plotting_module
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-CALIBRATOR = "calibrator"
+METHOD_AXIS = "calibrator"
 """Name of the axis of methods in an xarray dataset, where `method` is already an argument of `sel`."""
-RESAMPLES = 400
+N_BOOTSTRAP_RESAMPLES = 400
 """Number of resamples of a bootstrap interval, whose limits then have a sampling error of about a
 tenth of its width.
 """
-ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
+RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of a factor cannot have; an underscore is then appended."""
 
 
-class Results(Statistics, Result):
+class CampaignResults(CampaignStatistics, Result):
     """Results of a campaign: statistics of its rows, paired differences, figures and arrays."""
 
-    def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
-        return Results, (self.folder.resolve(),)
+    def __reduce__(self) -> tuple[type[CampaignResults], tuple[Path]]:
+        return CampaignResults, (self.folder.resolve(),)
 
-    def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
+    def paired(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
 
         Parameters
@@ -55,9 +55,9 @@ class Results(Statistics, Result):
             When there is no such statistic, method, factor or level.
         """
         self._quoted(statistic)
-        return paired(self, statistic, **between)
+        return paired_differences(self, statistic, **between)
 
-    def statistic(self, function: Callable[..., float], *columns: str) -> list[Spread]:
+    def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
         """Statistic that a function defines, over the trials of every cell and method, with its 95 % interval.
 
         Parameters
@@ -79,7 +79,7 @@ class Results(Statistics, Result):
         ModelError
             When there is no such column, or the function does not return a number.
         """
-        if shares := [column for column in columns if column in SHARES]:
+        if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
         quoted = [self._quoted(column) for column in columns]
         where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
@@ -87,15 +87,17 @@ class Results(Statistics, Result):
         spreads = []
         for cell in range(len(self.levels)):
             for method in sorted(self.manifest.methods):
-                values = self.of_trials(quoted, cell, method, where)
+                values = self.term_values(quoted, cell, method, where)
                 count = values.shape[1]
                 if not count:
                     continue
-                draws = stream(0, "bootstrap", cell).integers(count, size=(RESAMPLES, count))
-                value = _number_of(function, values)
-                again = [_number_of(function, values[:, draw]) for draw in draws]
+                draws = stream(0, "bootstrap", cell).integers(count, size=(N_BOOTSTRAP_RESAMPLES, count))
+                value = _checked_number(function, values)
+                again = [_checked_number(function, values[:, draw]) for draw in draws]
                 low, high = np.nanquantile(again, [0.025, 0.975]).tolist()
-                spreads.append(Spread(cell, method, name, count, value, low, high, float(np.nanstd(again, ddof=1))))
+                spreads.append(
+                    StatisticSummary(cell, method, name, count, value, low, high, float(np.nanstd(again, ddof=1)))
+                )
         return spreads
 
     def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
@@ -143,31 +145,34 @@ class Results(Statistics, Result):
             from xarray import Dataset
         except ImportError:
             raise missing_extra("datasets with axes", "xarray") from None
-        axes, places, along = self._axes()
+        axes, places, along = self._xarray_axes()
         methods = list(self.manifest.methods)
         shape = (len(methods), *(len(axes[name][1]) for name in axes))
         variables: dict[str, Any] = {}
-        for name in statistics or [c for c in self.columns if ":" not in c and c != CHECKED]:
+        for name in statistics or [c for c in self.columns if ":" not in c and c != DIFFERENCE_COLUMN]:
             bounds = np.full((3, *shape), np.nan)
-            for s in self.spread(name):
+            for s in self.distribution(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
                     bound[(methods.index(s.method), *places[s.cell])] = value
-            meaning, unit = (column.meaning if (column := column_of(name)) else ""), self.units.get(name, "")
+            meaning, unit = (column.meaning if (column := find_column(name)) else ""), self.units.get(name, "")
             for limit, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
                 meaning_of_bound = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
                 about = {"units": unit, "long_name": f"{meaning_of_bound}: {meaning}"}
-                variables[name + ending] = ((CALIBRATOR, *axes), limit, about)
+                variables[name + ending] = ((METHOD_AXIS, *axes), limit, about)
         title = {"title": self.manifest.title, "trials": self.manifest.trials}
-        return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
+        return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
 
-    def _axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
+    def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
         """Axes with their values, position of each cell on them, and other quantities along them.
 
         Factors of a full grid are axes; other cells are on one axis with the values of the factors.
         """
-        levels, named = self.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in self.factors]
+        levels, named = (
+            self.levels,
+            [(f"{f.name}_" if f.name in RESERVED_AXIS_NAMES else f.name, f) for f in self.factors],
+        )
         axes = {name: [level[f.name] for level in levels] for name, f in named}
-        steps = {name: _in_order(dict.fromkeys(values)) for name, values in axes.items()}
+        steps = {name: _sorted_levels(dict.fromkeys(values)) for name, values in axes.items()}
         unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
         places = [tuple(steps[name].index(axes[name][k]) for name in steps) for k in range(len(levels))]
         if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):
@@ -176,7 +181,7 @@ class Results(Statistics, Result):
         return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
 
 
-def _number_of(function: Callable[..., float], values: Floats) -> float:
+def _checked_number(function: Callable[..., float], values: Floats) -> float:
     """Value of a function of the columns (k, n); raises ModelError if it is not a number."""
     result = np.asarray(function(*values))
     if result.size != 1 or result.dtype.kind not in "fiub":
@@ -184,7 +189,7 @@ def _number_of(function: Callable[..., float], values: Floats) -> float:
     return float(result.item())
 
 
-def _in_order(values: Iterable[Any]) -> list[Any]:
+def _sorted_levels(values: Iterable[Any]) -> list[Any]:
     """Sorted numbers, so that an axis can be sliced; texts keep the order of the file."""
     listed = list(values)
     return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed

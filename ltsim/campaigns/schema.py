@@ -10,24 +10,26 @@ from ltsim.campaigns.design import Factor
 from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.recordings.result_file import Entry, ResultFile
 
-Whole = Annotated[int, Field(ge=0)]
-LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
+NonNegativeInt = Annotated[int, Field(ge=0)]
+QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in a summary."""
 
-SUMMARY = "summary.csv"
-CHECKED = "full_difference_sigma"
+SUMMARY_FILE = "summary.csv"
+DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with differences from the full solver, for the trials that it repeated."""
-OF_PARAMETER = "of the parameter"
-STATUSES = CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
-"""Status of a trial: converged in the batch, calibrated by the full solver, or without a result."""
-Errors = Literal["drawn", "stated"]
-Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-BY_READING = (
+PARAMETER_UNIT_TEXT = "of the parameter"
+TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
+"""Status of a trial without a result."""
+ErrorOrigin = Literal["drawn", "stated"]
+"""Origin of the instruments' errors in a recovery check: drawn from the prior, or declared."""
+StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
+"""Group of results that the rows of a campaign hold."""
+READING_ERROR_VARIANTS = (
     "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
     "station's points fitted rigidly to the true ones; the noise of these readings is in it"
 )
-NEW_POINT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
-POOLED = (
+NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
+POOLED_RATIOS = (
     "(R - C) / (R - P) of the mean squares, over all trials of a cell and method, of {0}error_raw_um, "
     "{0}error_calibrated_um and {0}error_true_parameters_um: 1 for a calibration that found the true parameters, 0 for "
     "one that did nothing, below 0 for one that did harm; its interval is that of a ratio of means"
@@ -38,92 +40,96 @@ POOLED = (
 class RowColumn(Column):
     """Column of results in the rows of a campaign; a name that ends in `:` means one column per parameter."""
 
-    group: Statistic | None = None
+    group: StatisticGroup | None = None
     """Statistic of the campaign's file to which the column belongs; None for a column of all rows."""
 
 
-def _columns(group: Statistic | None, unit: str, **about: str) -> list[RowColumn]:
+def _result_columns(group: StatisticGroup | None, unit: str, **about: str) -> list[RowColumn]:
     """Columns of a group in one unit, from names and meanings."""
     return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in about.items()]
 
 
-def _per_parameter(name: str, unit: str, group: Statistic, meaning: str) -> RowColumn:
+def _parameter_column(name: str, unit: str, group: StatisticGroup, meaning: str) -> RowColumn:
     return RowColumn(f"{name}:", meaning, unit=unit, group=group)
 
 
-def _criterion(kind: str, what: str) -> list[RowColumn]:
+def _criterion_columns(kind: str, what: str) -> list[RowColumn]:
     sizes = {
         f"{kind}_{when}_{which}_um": f"{word} of {what}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}
-    return _columns("criteria", "um", **sizes) + _columns("criteria", "%", **gain)
+    return _result_columns("criteria", "um", **sizes) + _result_columns("criteria", "%", **gain)
 
 
-def _errors(prefix: str, what: str) -> list[RowColumn]:
+def _error_columns(prefix: str, what: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     sizes = {
         f"{prefix}error_raw_um": f"{what}; readings without corrections",
         f"{prefix}error_calibrated_um": f"{what}; readings corrected by the estimates",
         f"{prefix}error_true_parameters_um": f"{what}; {floor}",
     }
-    return _columns("errors", "um", **sizes) + _columns(
-        "errors", "", **{f"{prefix}share_removed": POOLED.format(prefix)}
+    return _result_columns("errors", "um", **sizes) + _result_columns(
+        "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}
     )
 
 
-COLUMNS: tuple[RowColumn, ...] = (
-    *_columns(None, "", chi2="least sum of squares of the weighted residuals"),
-    *_columns(None, "sigma", **{CHECKED: "largest difference of parameters and targets from the full solver"}),
-    *_criterion("distance", "the distance criterion: deviations of distances from their mean over stations"),
-    *_criterion("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
-    *_errors("", BY_READING),
-    *_columns(
+RESULT_COLUMNS: tuple[RowColumn, ...] = (
+    *_result_columns(None, "", chi2="least sum of squares of the weighted residuals"),
+    *_result_columns(
+        None, "sigma", **{DIFFERENCE_COLUMN: "largest difference of parameters and targets from the full solver"}
+    ),
+    *_criterion_columns("distance", "the distance criterion: deviations of distances from their mean over stations"),
+    *_criterion_columns("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
+    *_error_columns("", READING_ERROR_VARIANTS),
+    *_result_columns(
         "errors",
         "um",
         target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
         "rigidly to the true ones; the noise of the readings that were adjusted is in it",
     ),
-    *_errors("new_point_", NEW_POINT + BY_READING),
-    _per_parameter("z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
-    _per_parameter("estimate", OF_PARAMETER, "estimates", "estimate of a parameter"),
-    _per_parameter("sigma", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
-    _per_parameter("true", OF_PARAMETER, "truth", "true value of a parameter"),
+    *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_VARIANTS),
+    _parameter_column("z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
+    _parameter_column("estimate", PARAMETER_UNIT_TEXT, "estimates", "estimate of a parameter"),
+    _parameter_column("sigma", PARAMETER_UNIT_TEXT, "estimates", "standard deviation of an estimate"),
+    _parameter_column("true", PARAMETER_UNIT_TEXT, "truth", "true value of a parameter"),
 )
 """All results that rows and statistics can contain, declared once for files, documentation and reports."""
-SHARES = tuple(column.name for column in COLUMNS if column.name.endswith("share_removed"))
+RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
 """Ratios over all trials, which no single row has."""
 
 
-def column_of(name: str) -> RowColumn | None:
+def find_column(name: str) -> RowColumn | None:
     """Definition of a column of the rows, or of a statistic; None for a setting."""
-    return next((c for c in COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None)
+    return next(
+        (c for c in RESULT_COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None
+    )
 
 
-def errors_of(share: str) -> tuple[str, str, str]:
+def ratio_columns(ratio: str) -> tuple[str, str, str]:
     """Columns from which a ratio is computed: raw, calibrated, and with the true parameters."""
-    prefix = share.removesuffix("share_removed")
+    prefix = ratio.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
-def identifier(name: str) -> str:
+def sql_identifier(name: str) -> str:
     """Column name as an SQL identifier, for any characters."""
     return '"' + name.replace('"', '""') + '"'
 
 
-def terms_of(statistic: str) -> tuple[str, ...]:
+def sql_terms(statistic: str) -> tuple[str, ...]:
     """SQL of the averaged terms: a column.
 
     For a ratio the mean square that was removed, and that which could be removed.
     """
-    if statistic not in SHARES:
-        return (identifier(statistic),)
-    raw, calibrated, perfect = (f"{identifier(name)}::DOUBLE ^ 2" for name in errors_of(statistic))
+    if statistic not in RATIO_STATISTICS:
+        return (sql_identifier(statistic),)
+    raw, calibrated, perfect = (f"{sql_identifier(name)}::DOUBLE ^ 2" for name in ratio_columns(statistic))
     return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 
-ROWS = Table(
+ROWS_TABLE = Table(
     "rows/cell-*/shard-*.parquet",
     "one row per trial and method; the settings of the cell follow its number",
     (
@@ -131,7 +137,7 @@ ROWS = Table(
         *texts(method="name"),
         *numbers(trial="number: `ltsim simulate --trial` writes its recording"),
         *texts(status="converged, full solver (the batch was not enough), failed"),
-        *COLUMNS,
+        *RESULT_COLUMNS,
     ),
 )
 
@@ -148,7 +154,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
         for column in (numbers if kind in ("number", "integer") else texts)(**{name: about})
     ]
     return Table(
-        SUMMARY,
+        SUMMARY_FILE,
         "every statistic over the trials of a cell and method, with the settings of the cell",
         (
             *numbers(cell="number"),
@@ -157,7 +163,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
             *numbers(trials="that have it"),
             *numbers("r", mean="over them", deviation="standard deviation"),
             *numbers("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
-            *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in LEVELS}),
+            *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in QUANTILE_LEVELS}),
         ),
     )
 
@@ -182,30 +188,30 @@ class ScenarioSettings(Entry):
     """Trackers by name."""
 
 
-Level = StrictBool | StrictInt | StrictFloat | StrictStr | None
+LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 
 
 class CellEntry(Entry):
     """Cell of the grid."""
 
-    cell: Whole
+    cell: NonNegativeInt
     """Number of the cell."""
     label: str
     """Description of the cell in a line: the level of each factor."""
-    levels: dict[str, Level] = Field(default_factory=dict)
+    levels: dict[str, LevelValue] = Field(default_factory=dict)
     """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Values that the cell changes in the scenario, by dotted key."""
-    mark: str = ""
+    digest: str = ""
     """Digest of all that determines its rows; also in the metadata of its shards."""
 
 
-VARIED = Table(
+FACTORS_TABLE = Table(
     "varied.csv",
     "settings that differ between cells",
     texts(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
 )
-MEANS_BY_LEVEL = Table(
+MEANS_BY_LEVEL_TABLE = Table(
     "levels.csv",
     "means over the cells of each level",
     (
@@ -213,7 +219,7 @@ MEANS_BY_LEVEL = Table(
         *numbers(mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"),
     ),
 )
-ERRORS = Table(
+ERRORS_TABLE = Table(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (
@@ -232,11 +238,11 @@ class ManifestFile(ResultFile):
     """Format and version of this file."""
     title: str = ""
     """Free text."""
-    seed: Whole = 0
+    seed: NonNegativeInt = 0
     """Root of the random draws."""
-    trials: Whole
+    trials: NonNegativeInt
     """Largest number of trials of each cell."""
-    shard: Whole | None = None
+    shard: NonNegativeInt | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
@@ -271,6 +277,6 @@ class ManifestFile(ResultFile):
             if cell.cell != number or {*cell.levels} != {*names}:
                 raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
         statistics = self.settings.get("statistics", [])
-        if not (isinstance(statistics, list) and all(name in get_args(Statistic) for name in statistics)):
+        if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):
             raise ValueError("the statistics in the settings are not a list of names of statistics")
         return self

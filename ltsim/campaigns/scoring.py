@@ -27,24 +27,27 @@ from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
 from ltsim.calibration.calibration import Calibration
-from ltsim.campaigns.schema import Errors
+from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import CalibratorError, RecordError, SetupError
 from ltsim.core.parallel import SAFE_PATH
-from ltsim.core.units import FACTOR, same_kind
+from ltsim.core.units import SI_PER_UNIT, has_same_kind
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings import Recording, write as write_recording
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
 
-MIN_NOISE_SHARE = 1e-4
+MIN_NOISE_FRACTION = 1e-4
 """Fraction of a declared variance below which the error comes from the prior and not from noise."""
 MAX_LINE_LENGTH = 300
 """Largest number of characters of an external program's last line in a message."""
-RECORDING, OUT = "{recording}", "{out}"
+RECORDING_PLACEHOLDER = "{recording}"
+"""Word of a calibrator command that is replaced by the path of the recording."""
+OUTPUT_PLACEHOLDER = "{out}"
+"""Word of a calibrator command that is replaced by the path of the output file."""
 
 
 class ParameterEstimate(NamedTuple):
@@ -55,25 +58,28 @@ class ParameterEstimate(NamedTuple):
     unit: str
 
 
-Calibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
+ExternalCalibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
 """External calibrator: a command with the words {recording} and {out}, or a function that returns value, sigma and unit
 by name.
 """
-_ESTIMATES = TypeAdapter(dict[str, ParameterEstimate])
+_ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
 
 
-def checked_command(command: str) -> list[str]:
+def split_command(command: str) -> list[str]:
     """Words of a command; raises SetupError for a command without {recording} or {out}."""
-    for place in (RECORDING, OUT):
+    for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
-            raise SetupError(f"--calibrator '{shown(command)}' lacks {place}: expected 'CMD {RECORDING} {OUT}'")
+            expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
+            raise SetupError(f"--calibrator '{quoted_text(command)}' lacks {place}: expected {expected}")
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise SetupError(f"--calibrator '{shown(command)}': {problem}") from None
+        raise SetupError(f"--calibrator '{quoted_text(command)}': {problem}") from None
 
 
-def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, ParameterEstimate]:
+def run_external_calibrator(
+    calibrator: ExternalCalibrator, recording: Recording, where: str
+) -> dict[str, ParameterEstimate]:
     """Parameters that an external calibrator estimates from a recording, by name.
 
     Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
@@ -83,44 +89,45 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         given = calibrator(recording)
         if given is None:
             raise CalibratorError(f"the calibrator gave no result (None) for {where}")
-        return _checked(given, f"the calibrator's result of {where}")
-    words = checked_command(calibrator)
+        return _validated_estimates(given, f"the calibrator's result of {where}")
+    words = split_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
         write_recording(recording, folder)
-        filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
+        filled = [
+            word.replace(RECORDING_PLACEHOLDER, str(folder)).replace(OUTPUT_PLACEHOLDER, str(out)) for word in words
+        ]
         try:
-            environment = {
-                name: value for name, value in os.environ.items() if name != SAFE_PATH
-            }  # that of our processes
+            environment = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # of our processes
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
         except OSError as problem:
-            raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
+            raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
-            raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
+            detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
+            what = f"'{quoted_text(calibrator)}' ended with status {done.returncode}"
+            raise CalibratorError(f"{what} for {where}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (RecordError, OSError, KeyError, TypeError) as problem:
             raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
-        return _checked(listed, where)
+        return _validated_estimates(listed, where)
 
 
-def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
+def _validated_estimates(given: object, where: str) -> dict[str, ParameterEstimate]:
     try:
-        estimates = _ESTIMATES.validate_python(given)
+        estimates = _ESTIMATES_ADAPTER.validate_python(given)
     except ValidationError as problem:
         first = problem.errors()[0]
         place = " ".join(str(part) for part in first["loc"])
         raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
-    lost = next((entry.unit for entry in estimates.values() if entry.unit not in FACTOR), None)
+    lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{shown(lost)}' is not a unit, expected one of {', '.join(FACTOR)}", file=where)
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=where)
     if not estimates:
         raise RecordError("no parameter in the result; expected at least one", file=where)
     return estimates
@@ -130,56 +137,58 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
 class NetworkScore:
     """Scores of a trial for the whole network; NaN for unknown ones."""
 
-    targets: float = np.nan
-    stations: float = np.nan
-    """Mean square of error divided by sigma of all target coordinates, and of all poses except the first one."""
+    target_mean_square: float = np.nan
+    """Mean square of error divided by sigma, over all target coordinates."""
+    station_mean_square: float = np.nan
+    """Mean square of error divided by sigma, over all poses except the first one."""
     chi2: float = np.nan
     dof: float = np.nan
-    expected: float = np.nan
-    spread: float = np.nan
-    """Mean and standard deviation of chi-square for the truth as it was made, declared or drawn."""
+    expected_chi2: float = np.nan
+    """Mean of chi-square for the truth as it was made, declared or drawn."""
+    chi2_deviation: float = np.nan
+    """Standard deviation of chi-square for the truth as it was made."""
 
 
 @dataclass(frozen=True)
-class Trial(ValueEquality):
+class TrialScore(ValueEquality):
     """Estimates of a calibrator in one trial, with the truth; parameters in units of display."""
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    estimate: Floats
-    sigma: Floats
+    parameter_names: tuple[str, ...]
+    parameter_units: tuple[str, ...]
+    estimates: Floats
+    declared_sigmas: Floats
     """Standard deviations that the calibrator declares, (p,); NaN for none."""
-    truth: Floats
-    standard: Floats
+    true_values: Floats
+    standard_z_scores: Floats
     """z-scores (p,) that are standard normal for the truth as it was made, declared or drawn; NaN for parameters
     without influence of noise, and for a calibrator with unknown prior.
     """
-    network: NetworkScore = NetworkScore()
-    foreign: bool = False
+    network_score: NetworkScore = NetworkScore()
+    is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
-    other: Trial | None = None
+    ltsim_estimates: TrialScore | None = None
     """Estimates of ltsim's calibrator from the same recording; None if there is no external calibrator."""
 
     @property
-    def z(self) -> Floats:
+    def z_scores(self) -> Floats:
         """Errors divided by declared sigmas, (p,)."""
-        return (self.estimate - self.truth) / self.sigma
+        return (self.estimates - self.true_values) / self.declared_sigmas
 
 
-class TrueValue(NamedTuple):
+class TrueParameter(NamedTuple):
     """True value of a parameter [SI], and its unit of display."""
 
     value: float
     unit: str
 
 
-def true_values(truth: Truth) -> dict[str, TrueValue]:
+def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
-    values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
-    for applied in truth.applied:
-        place = f" {applied.effect.place}" if applied.effect.place else ""
-        for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
-            values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
+    values = {name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()}
+    for applied in truth.applied_effects:
+        place = f" {applied.effect.place_text}" if applied.effect.place_text else ""
+        for parameter, value in zip(applied.effect.parameters, applied.parameter_values, strict=True):
+            values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueParameter(float(value), parameter.unit)
     return values
 
 
@@ -197,95 +206,113 @@ def check_true_parameters(names: Sequence[str], true: Collection[str], truth: Tr
 class ExpectedTruth:
     """Expected truth for an estimator with a prior: P parameters [prior sigma] of instruments and declared errors."""
 
-    mean: Floats
+    mean_truth: Floats
     """Mean of the distribution of the truth, (P,); the truth itself if it was not drawn."""
-    drawn: Floats
+    truth_sigmas: Floats
     """Standard deviation of the distribution of the truth, (P,)."""
-    missed: Floats
+    bias_matrix: Floats
     """Matrix (P, P) of the bias of the estimates without noise: the bias is -missed @ truth."""
-    columns: Ints
+    network_columns: Ints
     """Columns of the adjusted network for these parameters, (P,); empty without a network."""
     units: Floats
     """Prior sigmas, (P,) [SI]."""
 
     @classmethod
-    def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
-        """Expected truth of a simulated recording; `law` as in `score`."""
+    def from_calibration(
+        cls, calibration: Calibration, truth: Truth, distribution: Mapping[str, tuple[float, float]]
+    ) -> ExpectedTruth:
+        """Expected truth of a simulated recording; `distribution` as in `score_calibration`."""
         prior = calibration.prior_sigma.ravel()
-        mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
+        mean, drawn = np.array([distribution[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
             return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
-        reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
+        reflectors = [
+            np.linalg.solve(e.covariance_root, _true_incidence_parameters(truth) - e.mean_parameters)
+            for e in model.incidence_errors
+        ]
         more = np.concatenate([np.zeros(0), *reflectors])
-        columns = np.concatenate([unknowns.instrument.ravel(), *(unknowns.extra[at] for at in model.incidence_columns)])
-        free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
+        columns = np.concatenate(
+            [unknowns.instrument_columns.ravel(), *(unknowns.extra_columns[at] for at in model.incidence_columns)]
+        )
+        free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(free[:, None] & free, missed, 0.0)
         return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
 
     @property
-    def is_prior(self) -> bool:
+    def is_drawn_from_prior(self) -> bool:
         """True for a truth that was drawn from the prior."""
-        return not np.any(self.mean) and bool(np.all(self.drawn == 1.0))
+        return not np.any(self.mean_truth) and bool(np.all(self.truth_sigmas == 1.0))
 
     @property
     def missing_variance(self) -> Floats:
         """Fraction of the prior variance that the distribution of the truth lacks, (P,)."""
-        return 1.0 - self.drawn**2
+        return 1.0 - self.truth_sigmas**2
 
 
-def _reflector_error(truth: Truth) -> Floats:
+def _true_incidence_parameters(truth: Truth) -> Floats:
     """True parameters (p,) [SI] of the reflectors' incidence error."""
-    total = SmrIncidence().values_of_table
-    for applied in truth.applied:
-        if isinstance(applied.effect, SmrIncidence) and not applied.effect.place:
-            total = total + applied.effect.values_of_table + applied.values
+    total = SmrIncidence().parameters_from_table
+    for applied in truth.applied_effects:
+        if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
+            total = total + applied.effect.parameters_from_table + applied.parameter_values
     return total
 
 
-def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
+def score_calibration(
+    calibration: Calibration, truth: Truth, distribution: Mapping[str, tuple[float, float]]
+) -> TrialScore:
     """Score of ltsim's calibration relative to a truth; raises SetupError for a parameter without a true value.
 
-    `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared one.
+    `distribution` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared
+    one.
     """
-    check_true_parameters(calibration.names, truth.instrument, truth)
-    expected, count = ExpectedTruth.of(calibration, truth, law), len(calibration.names)
-    true = np.array([truth.instrument[name] for name in calibration.names])
+    check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
+    expected = ExpectedTruth.from_calibration(calibration, truth, distribution)
+    count = len(calibration.instrument_parameter_names)
+    true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
-    error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
-    missed = expected.missed[:count]
+    error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
+    missed = expected.bias_matrix[:count]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
-    noisy = variance > MIN_NOISE_SHARE * sigma_scaled**2
-    standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
+    noisy = variance > MIN_NOISE_FRACTION * sigma_scaled**2
+    standard = np.where(noisy, (error + missed @ expected.mean_truth) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
         *_network_scores(calibration, truth, expected),
         calibration.fit.chi2,
         calibration.fit.dof,
-        *_chi2(calibration, expected),
+        *_expected_chi2(calibration, expected),
     )
-    units = tuple(truth.units[name] for name in calibration.names)
-    factor = np.array([FACTOR[unit] for unit in units])
+    units = tuple(truth.units[name] for name in calibration.instrument_parameter_names)
+    factor = np.array([SI_PER_UNIT[unit] for unit in units])
     instrument = np.stack(
-        [calibration.values.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
+        [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
-    more = true_values(truth)
-    fitted = {name: entry for name, entry in _of_effects(calibration).items() if name in more}
-    plain = np.all(expected.drawn[:count] == 1.0) and not np.any(expected.mean[:count])  # else priors move effects too
-    extra = np.array([[e.value, e.sigma or np.nan, more[name].value / FACTOR[e.unit]] for name, e in fitted.items()])
+    more = true_parameters(truth)
+    fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in more}
+    plain = np.all(expected.truth_sigmas[:count] == 1.0) and not np.any(
+        expected.mean_truth[:count]
+    )  # else priors move effects too
+    extra = np.array(
+        [[e.value, e.sigma or np.nan, more[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
+    )
     extra = extra.reshape(-1, 3).T
     z = (1.0 if plain else np.nan) * (extra[0] - extra[2]) / extra[1]
     value, sigma, right, scores = np.concatenate([instrument, np.vstack([extra, z])], axis=1)
-    names, shown = tuple(calibration.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
-    return Trial(names, shown, value, sigma, right, scores, network)
+    names, shown = (
+        tuple(calibration.instrument_parameter_names) + tuple(fitted),
+        units + tuple(e.unit for e in fitted.values()),
+    )
+    return TrialScore(names, shown, value, sigma, right, scores, network)
 
 
-def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters of the estimated effects of a calibration, with the names of `true_values`."""
+def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
+    """Parameters of the estimated effects of a calibration, with the names of `true_parameters`."""
     return {
-        f"{entry.effect}:{parameter.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
+        f"{entry.effect}:{parameter.name}" + (f" {entry.place_text}" if entry.place_text else ""): ParameterEstimate(
             parameter.value, parameter.sigma, parameter.unit
         )
         for entry in calibration.effects
@@ -294,12 +321,12 @@ def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
     }
 
 
-def _chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
+def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
     """Mean and standard deviation of chi-square for such truths."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
-        return (dof, sigma) if expected.is_prior and sigma is not None else (np.nan, np.nan)
-    resolved, mean = np.eye(len(expected.mean)) - expected.missed, expected.mean
+        return (dof, sigma) if expected.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
+    resolved, mean = np.eye(len(expected.mean_truth)) - expected.bias_matrix, expected.mean_truth
     lean = float(mean @ resolved @ mean)
     return dof + lean - float(np.diag(resolved) @ expected.missing_variance), float(np.sqrt(2 * dof + 4 * lean))
 
@@ -313,26 +340,28 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
     network method has one.
     """
     adjustment = calibration.adjustment
-    unknown = calibration.method != "network" and not expected.is_prior
-    if adjustment is None or unknown or adjustment.problem.free.shape[1] < 6:
+    unknown = calibration.method != "network" and not expected.is_drawn_from_prior
+    if adjustment is None or unknown or adjustment.problem.free_motions.shape[1] < 6:
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
-    held, origin = adjustment.state, truth.position[0]
-    turn = truth.rotation[0] @ held.rotation[0].T
-    unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.size)
+    held, origin = adjustment.state, truth.station_positions[0]
+    turn = truth.station_rotations[0] @ held.station_rotations[0].T
+    unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.n_columns)
     bias, less = size.copy(), size.copy()
-    if not expected.is_prior:
-        pick = np.zeros((len(size), len(expected.mean)))
-        pick[expected.columns, np.arange(len(expected.mean))] = 1.0 / expected.units
-        missed = adjustment.factor.covariance_columns(pick)
-        bias, less = -missed @ expected.mean, missed**2 @ expected.missing_variance
-    points = (truth.points - origin) @ turn + held.position[0]
-    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target]
-    targets = float(np.mean((calibration.points - points - bias[unknowns.target]) ** 2 / variance))
+    if not expected.is_drawn_from_prior:
+        pick = np.zeros((len(size), len(expected.mean_truth)))
+        pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.units
+        missed = adjustment.factorised_normals.covariance_columns(pick)
+        bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance
+    points = (truth.target_points - origin) @ turn + held.station_positions[0]
+    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]
+    targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))
     squares = []
     for i, station in enumerate(calibration.stations[1:], start=1):
-        there, at = (truth.position[i] - origin) @ turn + held.position[0], unknowns.pose[i]
-        rotation = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
+        there, at = (truth.station_positions[i] - origin) @ turn + held.station_positions[0], unknowns.pose_columns[i]
+        rotation = (
+            Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.station_rotations[i]).inv()
+        )
         error = np.concatenate([station.position - there, rotation.as_rotvec()]) - bias[at]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
         squares.append(error**2 / (sigma**2 - less[at]))
@@ -340,29 +369,31 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
 
 
 def score_estimates(
-    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, reference: Trial | None
-) -> Trial:
+    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, reference: TrialScore | None
+) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
 
     Parameters are in the order and units of the truth. Raises SetupError for a parameter without a true value, or with
     a unit of another kind.
     """
-    true = true_values(truth)
+    true = true_parameters(truth)
     check_true_parameters(tuple(estimates), true, truth)
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
-        if not same_kind(estimates[name].unit, unit):
+        if not has_same_kind(estimates[name].unit, unit):
             raise SetupError(f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit like it")
-    factor = np.array([FACTOR[unit] for unit in units])
-    scale = np.array([FACTOR[estimates[name].unit] for name in names]) / factor
+    factor = np.array([SI_PER_UNIT[unit] for unit in units])
+    scale = np.array([SI_PER_UNIT[estimates[name].unit] for name in names]) / factor
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
     right = np.array([true[name].value for name in names]) / factor
     standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
     other = None
     if reference is not None:
-        places = [reference.names.index(name) if name in reference.names else None for name in names]
-        same = np.array([np.nan if k is None else reference.estimate[k] for k in places])
-        other = Trial(names, units, same, np.full(len(same), np.nan), right, standard)
-    return Trial(names, units, value, sigma, right, standard, foreign=True, other=other)
+        places = [
+            reference.parameter_names.index(name) if name in reference.parameter_names else None for name in names
+        ]
+        same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
+        other = TrialScore(names, units, same, np.full(len(same), np.nan), right, standard)
+    return TrialScore(names, units, value, sigma, right, standard, is_external=True, ltsim_estimates=other)

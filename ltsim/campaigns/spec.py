@@ -11,19 +11,23 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.design import Design, Factor, short_names
-from ltsim.campaigns.schema import Statistic, column_of
+from ltsim.campaigns.design import Design, Factor, short_key_names
+from ltsim.campaigns.schema import StatisticGroup, find_column
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.settings import checked, read_toml
+from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.keys import kind_of, quantity, unit_of
-from ltsim.simulation.scenario import REMOVED, Scenario, changed, load_scenario
+from ltsim.simulation.keys import convert_value, unit_of, value_type_of_key
+from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
-FORMAT = "ltsim-campaign/1"
-MAX_CELLS, MAX_SHARDS = 4096, 500_000
-JUDGE = "judge"
+CAMPAIGN_FORMAT = "ltsim-campaign/1"
+"""Format and version of a campaign file."""
+MAX_CELLS = 4096
+"""Largest number of cells of a campaign."""
+MAX_SHARDS = 500_000
+"""Largest number of shards of a campaign."""
+VALIDATION_STREAM_KEY = "judge"
 """Key of the random draws at the place of `judge_in`."""
 
 
@@ -71,7 +75,7 @@ class Method(TomlSection):
         return self
 
 
-class Stop(TomlSection):
+class StoppingRule(TomlSection):
     """Adaptive stopping rule of a cell, evaluated after each round; every round adds 50 % more trials.
 
     A cell stops when the mean of `statistic` is known `within` its bound for every method.
@@ -83,7 +87,7 @@ class Stop(TomlSection):
     """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
 
-class Campaign(TomlSection):
+class CampaignFile(TomlSection):
     """Contents of a campaign file.
 
     `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,
@@ -109,7 +113,7 @@ class Campaign(TomlSection):
     """Placing of stations and targets: a common one for all trials of a cell, or a separate one for each."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials of each shard (its first ones) that the full solver repeats for verification."""
-    statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
+    statistics: tuple[StatisticGroup, ...] = ("criteria", "errors", "z-scores")
     """Groups of results that each row holds."""
     judge_in: str = ""
     """Hold-out data for scoring: a scenario (built-in, or a file in the folder of this one) measured with the true
@@ -128,7 +132,7 @@ class Campaign(TomlSection):
     """Points spread over ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
-    stop: Stop | None = None
+    stop: StoppingRule | None = None
     """Stopping rule of a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """Calibration methods to compare, tables `[[methods]]`."""
@@ -144,7 +148,7 @@ class Campaign(TomlSection):
 
     @model_validator(mode="after")
     def _stops_by_what_rows_hold(self) -> Self:
-        column = column_of(self.stop.statistic) if self.stop else None
+        column = find_column(self.stop.statistic) if self.stop else None
         wanted = column and column.group
         if self.stop and wanted and wanted not in self.statistics:
             raise ValueError(f"it should have '{wanted}' among its statistics, since stop needs {self.stop.statistic}")
@@ -165,119 +169,125 @@ class Campaign(TomlSection):
         cells *= self.design.cells if self.design else 1
         if cells > MAX_CELLS:
             raise ValueError(f"it should have at most {MAX_CELLS} cells, the grid makes {cells}: divide the campaign")
-        if cells * self.shards > MAX_SHARDS:
+        if cells * self.n_shards_per_cell > MAX_SHARDS:
             raise ValueError(
-                f"it should have at most {MAX_SHARDS} shards, trials and shard make {cells * self.shards}: "
+                f"it should have at most {MAX_SHARDS} shards, trials and shard make {cells * self.n_shards_per_cell}: "
                 "give a larger shard"
             )
         return self
 
     @property
-    def shards(self) -> int:
+    def n_shards_per_cell(self) -> int:
         """Number of shards of each cell."""
         return -(-self.trials // self.shard)
 
     @property
-    def varied(self) -> tuple[str, ...]:
+    def varied_keys(self) -> tuple[str, ...]:
         """Dotted keys and names of links that differ between cells, in the file's order."""
         listed = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
         """Factors that differ between cells; `scenario` is that of any cell. A table is represented by its title."""
-        titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
+        titles, given = (
+            short_key_names(self.varied_keys),
+            {name: self.link.get(name, (name,)) for name in self.varied_keys},
+        )
         factors = (
-            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
+            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=value_type_of_key(keys[0]))
             for name, keys in given.items()
         )
-        return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied)
+        return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
-    def combinations(self) -> Iterator[dict[str, Any]]:
+    def cell_changes(self) -> Iterator[dict[str, Any]]:
         """Changes of the scenario for each cell, by dotted key."""
-        first = {name: self.link.get(name, (name,))[0] for name in self.varied}
+        first = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
             for values in itertools.product(*self.grid.values()):
                 values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
-                yield self.by_key(values_by_name)
+                yield self.values_by_key(values_by_name)
 
-    def by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def values_by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Values by dotted key; the value of a name in `link` is assigned to each of its keys."""
         return {key: value for name, value in values.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
-) -> tuple[Campaign, tuple[Scenario, ...]]:
+) -> tuple[CampaignFile, tuple[Scenario, ...]]:
     """Campaign of a file (or of `tables` in its place), and the scenario of each of its cells; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which are then constant.
     """
     with as_setup_error():
-        given = read_toml(path, "campaign") if tables is None else {"format": FORMAT, **tables}
-        campaign = checked(given, Campaign, "campaign", path)
+        given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
+        campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
-        campaign = overridden(campaign, changes, path)
+        campaign = override_campaign(campaign, changes, path)
     base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
-    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
-    units = changed(base, common, path)  # with the effects that the settings add
+    common = {
+        key: convert_value(base, key, value, str(path))
+        for key, value in campaign.values_by_key(campaign.settings).items()
+    }
+    units = change_scenario(base, common, path)  # with the effects that the settings add
     made = []
-    for number, values in enumerate(campaign.combinations(), start=1):
+    for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
-        inside = {key: quantity(units, key, value, where) for key, value in values.items()}
-        made.append(changed(base, inside, path, where))
+        inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
+        made.append(change_scenario(base, inside, path, where))
     return campaign, tuple(made)
 
 
-def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
+def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: Path) -> CampaignFile:
     """Campaign with other values of its keys, or of keys of the scenario in all cells."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in changes.items():
-        if key in Campaign.model_fields:
+        if key in CampaignFile.model_fields:
             tables[key] = value
         elif key in campaign.grid:
             tables["grid"][key] = [value]
-        elif key in campaign.varied:
+        elif key in campaign.varied_keys:
             raise SetupError(f"{path}: {key} varies in its cells or design: change it there")
         else:
             tables["settings"][key] = value
     with as_setup_error():
-        return checked(tables, Campaign, "campaign", path)
+        return validate_settings(tables, CampaignFile, "campaign", path)
 
 
 @dataclass(frozen=True)
-class Cell:
+class CampaignCell:
     """Cell of a campaign: a combination of settings."""
 
     scenario: Scenario
-    judge: Scenario | None
+    validation_scenario: Scenario | None
     """Scenario of the held-out points; None without `judge_in`."""
     settings: dict[str, Any]
     """Values that the cell changes in the scenario, by dotted key."""
     levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
-    mark: str
+    digest: str
     """Digest of everything that determines the rows of the cell, except their number and the stored columns."""
 
 
-def cells_of(
-    campaign: Campaign, scenarios: Sequence[Scenario], path: Path
-) -> tuple[tuple[Factor, ...], tuple[Cell, ...]]:
+def make_cells(
+    campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
+) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
     """Factors that differ between cells, and the cells; raises SetupError."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
     common = campaign.model_dump_json(include=deciding, by_alias=True)
-    for scenario, settings in zip(scenarios, campaign.combinations(), strict=True):
+    for scenario, settings in zip(scenarios, campaign.cell_changes(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
-        judge = judge_of(campaign.judge_in, scenario, path) if campaign.judge_in else None
+        judge = make_validation_scenario(campaign.judge_in, scenario, path) if campaign.judge_in else None
         levels = {factor.name: factor.level(tables) for factor in factors}
-        places = [_by_content(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
+        places = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
         mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
-        cells.append(Cell(scenario, judge, settings, levels, mark))
+        cells.append(CampaignCell(scenario, judge, settings, levels, mark))
     return factors, tuple(cells)
 
 
-def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
+def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
     """Scenario at the place of `judge_in` with the instruments of a scenario; `path` is the file that names it.
 
     Raises SetupError.
@@ -288,14 +298,20 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
-        changes = {"gauge": REMOVED, "lengths": [], "work.targets": REMOVED, "targets": places, "effects": effects}
-        return changed(scenario, changes, path, f"{path}: judge_in")
+        changes = {
+            "gauge": REMOVAL_VALUE,
+            "lengths": [],
+            "work.targets": REMOVAL_VALUE,
+            "targets": places,
+            "effects": effects,
+        }
+        return change_scenario(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
     same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
     room = room.model_copy(update=same)
     used = {station.instrument or "" for station in room.stations.values()}
-    if used != {*scenario.trackers}:
-        wanted = ", ".join(scenario.trackers) or "one without a name"
+    if used != {*scenario.trackers_in_use}:
+        wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
         raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
     return room
 
@@ -314,7 +330,7 @@ def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
     return [Path(name) for name in dict.fromkeys(named)]
 
 
-def _by_content(scenario: Scenario) -> Scenario:
+def _with_cad_digests(scenario: Scenario) -> Scenario:
     """Scenario with the digests of its CAD files in place of their names."""
     room = scenario.workshop
     digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}

@@ -15,42 +15,43 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.campaigns.schema import (
-    CHECKED,
-    FAILED,
-    FULL,
-    LEVELS,
-    SHARES,
+    DIFFERENCE_COLUMN,
+    FULL_SOLVER,
+    QUANTILE_LEVELS,
+    RATIO_STATISTICS,
+    WITHOUT_RESULT,
     ManifestFile,
-    column_of,
-    errors_of,
-    identifier,
+    find_column,
+    ratio_columns,
+    sql_identifier,
+    sql_terms,
     summary_table,
-    terms_of,
 )
-from ltsim.campaigns.stopping import level_of, quantile
-from ltsim.campaigns.store import Store, literal
+from ltsim.campaigns.stopping import interval_error_rate, student_quantile
+from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, unknown_name
-from ltsim.core.results import Columns, Table, by_row
-from ltsim.recordings.files import shown
+from ltsim.core.results import ColumnValues, Table, columns_from_rows
+from ltsim.recordings.files import quoted_text
 
-NORMAL_95 = 1.959963984540054
-CONNECTION: dict[str, Any] = {
+NORMAL_QUANTILE_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the standard normal distribution."""
+DATABASE_SETTINGS: dict[str, Any] = {
     "memory_limit": "1GB",
     "threads": 1,
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
 """Settings of the database: no extension is downloaded or loaded, for any query or file."""
-MAX_EXACT = 50_000_000
+MAX_ROWS_EXACT_QUANTILES = 50_000_000
 """Largest number of rows with exact quantiles, which need all values of a column in memory; above it a t-digest is
 used.
 """
-IMPROVEMENTS = ("distance", "coordinate")
+IMPROVED_CRITERIA = ("distance", "coordinate")
 
 
 @dataclass(frozen=True)
-class Spread:
+class StatisticSummary:
     """Statistic over the trials of one cell and method.
 
     `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
@@ -67,11 +68,11 @@ class Spread:
     deviation: float = math.nan
     least: float = math.nan
     largest: float = math.nan
-    quantiles: tuple[float, ...] = (math.nan,) * len(LEVELS)
+    quantiles: tuple[float, ...] = (math.nan,) * len(QUANTILE_LEVELS)
 
 
 @dataclass(frozen=True)
-class Scores:
+class ZScoreSummary:
     """Summary of the z-scores of one parameter.
 
     They are N(0, 1) if the truth is drawn from the prior and the covariance is correct.
@@ -87,7 +88,7 @@ class Scores:
 
 
 @dataclass(frozen=True)
-class Checked:
+class SolverComparison:
     """Statuses of the trials of a cell and method, and largest difference between the batch and the full solver."""
 
     cell: int
@@ -99,7 +100,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Statistics:
+class CampaignStatistics:
     """Rows of a campaign's folder as tables for queries.
 
     Parameters
@@ -133,7 +134,7 @@ class Statistics:
     """
 
     def __init__(self, folder: Path, below: int | None = None) -> None:
-        store = Store(folder)
+        store = CampaignFolder(folder)
         self.manifest = store.manifest()
         self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
@@ -141,20 +142,23 @@ class Statistics:
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
-        self._base = duckdb.connect(config=CONNECTION)
-        source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
+        self._database = duckdb.connect(config=DATABASE_SETTINGS)
+        source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
-            store.verify(shards, {cell.cell: cell.mark for cell in self.manifest.cells})
+            store.verify(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
-                names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-                self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
+                names = [row[0] for row in self._database.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+                self._database.execute(f"CREATE VIEW rows AS SELECT *{_improvement_sql(names)} FROM {source}")
                 self._check_cells()
-                self._hold_cells()
-                held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
-            self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(errors_of(name)) <= {*held}))
-            self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
+                self._create_cells_table()
+                held = [row[0] for row in self._database.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
+            self.columns: tuple[str, ...] = (
+                *held,
+                *(name for name in RATIO_STATISTICS if set(ratio_columns(name)) <= {*held}),
+            )
+            self.units = {f.name: f.unit for f in self.factors if f.unit} | _column_units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
-            raise _damaged(folder, problem) from None
+            raise _damaged_folder_error(folder, problem) from None
         self.folder = folder
         self._cache: dict[str, list[tuple[Any, ...]]] = {}
 
@@ -165,20 +169,20 @@ class Statistics:
 
     def _check_cells(self) -> None:
         """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
-        for cell, method in self._base.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
+        for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
 
-    def _hold_cells(self) -> None:
+    def _create_cells_table(self) -> None:
         """Creation of the table `cells` with the types of the rows.
 
         Without Arrow, which imports pandas for any list.
         """
         cells = self._cells()
-        columns = "".join(f", {identifier(factor.name)}" for factor in self.factors)
-        self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{columns} FROM rows LIMIT 0")
+        columns = "".join(f", {sql_identifier(factor.name)}" for factor in self.factors)
+        self._database.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{columns} FROM rows LIMIT 0")
         places = ", ".join("?" * len(cells))
-        self._base.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
+        self._database.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
 
     def _lines(self) -> list[str]:
         manifest = self.manifest
@@ -189,25 +193,25 @@ class Statistics:
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         summary = self.summary
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "ends": lambda: by_row(self._with_settings(summary()["ends"])),
-            "z_scores": lambda: by_row(self._with_settings(summary()["z_scores"])),
+            "ends": lambda: columns_from_rows(self._with_settings(summary()["ends"])),
+            "z_scores": lambda: columns_from_rows(self._with_settings(summary()["z_scores"])),
             "rows": self._rows,
         }
 
     def _summary(self) -> Table:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
-        quantiles = table.header[-len(LEVELS) :]
+        quantiles = table.header[-len(QUANTILE_LEVELS) :]
         rows = self._with_settings(self.summary()["columns"])
         return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
-    def _rows(self) -> Columns:
+    def _rows(self) -> ColumnValues:
         with _interruptible():
-            rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
+            rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
@@ -226,63 +230,73 @@ class Statistics:
         """
         try:
             with _interruptible():
-                return self._base.execute(sql).fetchall()
+                return self._database.execute(sql).fetchall()
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
-            raise _damaged(self.folder, problem) from None
+            raise _damaged_folder_error(self.folder, problem) from None
         except duckdb.Error as problem:
             raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
     def _quoted(self, column: str) -> str:
         if column not in self.columns:
             raise unknown_name("column of these rows", column, self.columns)
-        return identifier(column)
+        return sql_identifier(column)
 
-    def half(self, count: int, deviation: float) -> float:
+    def half_interval(self, count: int, deviation: float) -> float:
         """Half-width of the 95 % confidence interval of a mean, or of a ratio of means."""
         stops = bool(self.manifest.settings.get("stop"))
-        level = level_of(self.manifest.trials, self.manifest.shard or 1, stops=stops)
-        return quantile(count, level) * deviation / math.sqrt(count)
+        level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, stops=stops)
+        return student_quantile(count, level) * deviation / math.sqrt(count)
 
-    def spread(self, column: str) -> list[Spread]:
+    def distribution(self, column: str) -> list[StatisticSummary]:
         """Mean, standard deviation and quantiles of a column in every cell and for every method."""
         name = self._quoted(column)
-        if column in SHARES:
+        if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MAX_EXACT else "approx_quantile"
-        what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
+        kind = "quantile_cont" if size <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
+        what = (
+            f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
+            f"{[*QUANTILE_LEVELS]})"
+        )
         summaries = []
-        for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"isfinite({name})"):
-            half, numbers = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
-            summaries.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *numbers))
+        for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
+            what, f"isfinite({name})"
+        ):
+            half, numbers = (
+                self.half_interval(count, _finite_or_none(deviation)),
+                (_finite_or_none(deviation), low, high, tuple(quantiles)),
+            )
+            summaries.append(StatisticSummary(cell, method, column, count, mean, mean - half, mean + half, *numbers))
         return summaries
 
-    def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
+    def _query_each_cell(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
         sql = f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
             self._cache[sql] = self.query(sql)
         return self._cache[sql]
 
-    def _ratios_of_means(self, column: str) -> list[Spread]:
+    def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
         """Ratios of means with confidence intervals (delta method)."""
-        gained, correctable = terms_of(column)
+        gained, correctable = sql_terms(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
         shares = []
-        for cell, method, count, above, below, *moments in self._each(what, "a IS NOT NULL AND b IS NOT NULL", terms):
+        for cell, method, count, above, below, *moments in self._query_each_cell(
+            what, "a IS NOT NULL AND b IS NOT NULL", terms
+        ):
             value = half = math.nan
             if below > 0:
-                value, (aa, ab, bb) = above / below, map(_number, moments)
-                half = self.half(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
-            shares.append(Spread(cell, method, column, count, value, value - half, value + half))
+                value, (aa, ab, bb) = above / below, map(_finite_or_none, moments)
+                half = self.half_interval(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
+            shares.append(StatisticSummary(cell, method, column, count, value, value - half, value + half))
         return shares
 
-    def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
-        """Finite values (n,) of a column for a cell and method, from the first `most` trials."""
+    def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
+        """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
         name = self._quoted(column)
-        return self.of_trials((name,), cell, method, f"isfinite({name}) AND trial < {int(most)}")[0]
+        return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
-    def of_trials(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
+    def term_values(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
         """Values (k, n) of SQL terms for the trials of a cell and method, in their order, under a condition."""
         word = method.replace("'", "''")
         rows = self.query(
@@ -291,24 +305,29 @@ class Statistics:
         )
         return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
 
-    def z_scores(self) -> list[Scores]:
+    def z_score_summaries(self) -> list[ZScoreSummary]:
         """Mean, standard deviation and coverage of the z-scores of every parameter."""
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._quoted(column), column.removeprefix("z:")
-            what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_95})::INT)"
-            for cell, method, count, mean, deviation, coverage in self._each(what, f"isfinite({name})"):
-                summaries.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
+            what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
+            for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
+                summaries.append(
+                    ZScoreSummary(cell, method, parameter, count, mean, _finite_or_none(deviation), coverage)
+                )
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
-    def checked(self) -> list[Checked]:
+    def solver_comparisons(self) -> list[SolverComparison]:
         """Statuses of the trials, and largest difference from the full solver in the verified sample."""
-        ended = f"count(*) FILTER (status = '{FAILED}'), count(*) FILTER (status = '{FULL}')"
-        return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
+        ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
+        return [
+            SolverComparison(*row)
+            for row in self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
+        ]
 
     def summary(self) -> dict[str, Any]:
         """Content of the report as plain data."""
-        wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
+        wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN]
         return {
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
@@ -318,15 +337,15 @@ class Statistics:
                 cell.model_dump() | {"levels": levels}
                 for cell, levels in zip(self.manifest.cells, self.levels, strict=True)
             ],
-            "ends": [_without_nan(asdict(entry)) for entry in self.checked()],
-            "levels": LEVELS,
-            "meanings": {c: described.meaning for c in wanted if (described := column_of(c))},
+            "ends": [_without_nan(asdict(entry)) for entry in self.solver_comparisons()],
+            "levels": QUANTILE_LEVELS,
+            "meanings": {c: described.meaning for c in wanted if (described := find_column(c))},
             "columns": [
                 _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
                 for column in wanted
-                for entry in self.spread(column)
+                for entry in self.distribution(column)
             ],
-            "z_scores": [_without_nan(asdict(entry)) for entry in self.z_scores()],
+            "z_scores": [_without_nan(asdict(entry)) for entry in self.z_score_summaries()],
         }
 
 
@@ -350,27 +369,27 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _units(schema: pa.Schema) -> dict[str, str]:
+def _column_units(schema: pa.Schema) -> dict[str, str]:
     """Units in the metadata of a shard's columns, and of the added improvement columns."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
-    added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
+    added = {f"{kind}_improvement_percent": "%" for kind in IMPROVED_CRITERIA}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
-def _improvements(names: list[str]) -> str:
+def _improvement_sql(names: list[str]) -> str:
     """SQL of the improvement columns, for the criteria in the rows."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
-        for kind in IMPROVEMENTS
+        for kind in IMPROVED_CRITERIA
         if {f"{kind}_after_mean_um", f"{kind}_before_mean_um"} <= set(names)
     ]
     return "".join(added)
 
 
-def _number(value: float | None) -> float:
+def _finite_or_none(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _damaged(folder: Path, problem: Exception) -> SetupError:
-    reason = shown(str(problem).split("\n")[0], 200)
+def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
+    reason = quoted_text(str(problem).split("\n")[0], 200)
     return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")

@@ -13,27 +13,28 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.campaigns.kernels import readings_of
+from ltsim.campaigns.kernels import compute_readings
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import BLOCK as BLOCK
-from ltsim.geometry.polar import wrap
+from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import Draw, EffectDistribution, NormalSource, TrialDraws
-from ltsim.simulation.fieldwork import Fieldwork, fieldwork
-from ltsim.simulation.physics import nominal_noise, resolution_of
+from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
+from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry
+from ltsim.simulation.physics import instrument_resolutions, nominal_noise
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import blunders_in, error_free, population_of, simulate_readings
-from ltsim.simulation.workshop import Layout
+from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
+from ltsim.simulation.workshop import WorkshopLayout
 
-TURN = 2 * np.pi
+FULL_TURN = 2 * np.pi
+"""Full turn [rad]."""
 MAX_NONLINEARITY = 1e-3
 """Largest deviation of an effect from its linear form, in sigmas of a reading, at which it is treated as linear."""
 
@@ -44,21 +45,21 @@ class TrialBatch:
 
     trials: Ints
     """Numbers of the trials, (B,)."""
-    values: Floats
+    instrument_values: Floats
     """True instrument parameters, (I, p, B) [SI]."""
-    amounts: tuple[Floats, ...]
+    effect_values: tuple[Floats, ...]
     """True parameters of each additional effect, (q, B) [SI]."""
-    deviation: Floats
+    reading_deviations: Floats
     """Readings minus nominal readings, (n, 3, B) [m, rad, rad]."""
-    gauge_error: Floats
+    length_errors: Floats
     """Declared minus true reference lengths, (g, B) [m]."""
-    alone: tuple[TrialBatch, ...] = ()
+    single_trials: tuple[TrialBatch, ...] = ()
     """Single trials, each in the order of its pointings, if geometries differ."""
 
     @property
     def true_values(self) -> Floats:
         """All true parameters, instrument by instrument and then effects, (I p + q, B) [SI]."""
-        return np.concatenate([self.values.reshape(-1, len(self.trials)), *self.amounts])
+        return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
 
 
 @dataclass(frozen=True)
@@ -67,155 +68,160 @@ class CellTruth:
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
-    state: State
+    state: NetworkState
     """True poses and targets in the start frame of a calibrator, that of the first station."""
-    population: TrialDraws
+    distributions: TrialDistributions
     """Distributions of the random values of a trial; its sightings may be in another frame."""
-    step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
+    resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings; 0 for none, (I, 3) [m, rad, rad]."""
-    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    recorded_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
-    work: Fieldwork | None = None
+    geometry: MeasurementGeometry | None = None
     """True geometry on which blunders are simulated: trials with blunders are computed one by one."""
 
     @property
     def sightings(self) -> Sightings:
         """True geometry of the pointings including nests, in any frame."""
-        return self.population.sightings
+        return self.distributions.sightings
 
     @property
     def construction(self) -> Construction:
         """Construction of the true instrument."""
-        return self.population.construction
+        return self.distributions.construction
 
     @property
     def effects(self) -> tuple[EffectDistribution, ...]:
         """Effects in addition to the instrument's errors."""
-        return self.population.effects
+        return self.distributions.effects
 
     @cached_property
-    def design_of(self) -> Callable[[tuple[Effect, ...]], Floats]:
+    def effect_design_function(self) -> Callable[[tuple[Effect, ...]], Floats]:
         """Function for the change (n, 3, q, 1) of the readings per unit of effects.
 
         It is (n, 3, q, B) if geometries differ.
         """
-        return lru_cache(maxsize=8)(self._design_of)
+        return lru_cache(maxsize=8)(self._effect_design)
 
-    def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
+    def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
 
     @cached_property
-    def reflectors(self) -> dict[str, Bools]:
+    def reflector_masks(self) -> dict[str, Bools]:
         """Flags (n,) of the pointings to each reflector, by its name; '' for an unnamed one."""
-        names = smrs_of(self.recording)
+        names = smr_names(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
         """Range errors (n, B) [m] for parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
         total = np.zeros((len(self.recording), 1))
-        for name, pointings in self.reflectors.items():
+        for name, pointings in self.reflector_masks.items():
             if name in reflectors:
-                design, values = self.design_of((SmrIncidence(),))[:, 0], reflectors[name]
+                design, values = self.effect_design_function((SmrIncidence(),))[:, 0], reflectors[name]
                 shared = design.shape[2] == 1  # one geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
                 total = total + pointings[:, None] * errors
         return total
 
     @cached_property
-    def _chains(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
+    def _chain_cache(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
         return []
 
-    def chain_of(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+    def chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
         """Kinematic chain about the nominal readings, and derivative (n, 3, p) of the readings by its parameters."""
-        for other, chain in self._chains:  # comparing a few is quicker than hashing one
+        for other, chain in self._chain_cache:  # comparing a few is quicker than hashing one
             if other == construction:
                 return chain
-        self._chains.append((construction, self._laid_out(construction)))
-        return self._chains[-1][1]
+        self._chain_cache.append((construction, self._compute_chain_and_design(construction)))
+        return self._chain_cache[-1][1]
 
-    def _laid_out(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+    def _compute_chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
         nominal = self.recording.readings
-        by_value = construction.reading_design(nominal, np.zeros(construction.size))[1]
-        return ChainProgram.of(construction, nominal), by_value
+        by_value = construction.reading_design(nominal, np.zeros(construction.n_parameters))[1]
+        return ChainProgram.from_construction(construction, nominal), by_value
 
-    def program_of(self, construction: Construction) -> ChainProgram:
+    def chain_program(self, construction: Construction) -> ChainProgram:
         """Kinematic chain of a construction about the nominal readings."""
-        return self.chain_of(construction)[0]
+        return self.chain_and_design(construction)[0]
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
         """Constant part (n, 3) and design (n, 3, q) of each effect; None for a nonlinear one."""
-        return [self._linear(entry) for entry in self.effects]
+        return [self._linear_effect(entry) for entry in self.effects]
 
-    def _linear(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
-        constant = entry.effect.shift(self.sightings, entry.mean)
-        if not np.any(entry.sigma):  # nothing is drawn
-            return constant, np.zeros((*constant.shape, len(entry.mean)))
+    def _linear_effect(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
+        constant = entry.effect.reading_change(self.sightings, entry.mean_values)
+        if not np.any(entry.value_sigmas):  # nothing is drawn
+            return constant, np.zeros((*constant.shape, len(entry.mean_values)))
         design = entry.effect.design(self.sightings)
-        probe = entry.mean + 3 * entry.sigma
-        miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
+        probe = entry.mean_values + 3 * entry.value_sigmas
+        miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.value_sigmas)
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
+    def draw_block(self, seed: int, number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
         """Trials from number ``width * number`` on, as a block."""
-        return self.drawn(NormalSource(seed, width * number + np.arange(width)))
+        return self.draw_trials(StandardNormalSource(seed, width * number + np.arange(width)))
 
-    def drawn(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> TrialBatch:
+    def draw_trials(
+        self, numbers: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
+    ) -> TrialBatch:
         """Block of the trials with these numbers.
 
-        `values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDraws`.
+        `instrument_values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDistributions`.
         """
-        draw = self.population.draw(numbers, values, stream_key=stream_key)
-        return self.read(draw, self._exact(draw.values))
+        draw = self.distributions.draw(numbers, values, stream_key=stream_key)
+        return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
-    def read(self, draw: Draw, deviation: Floats) -> TrialBatch:
+    def block_from_draw(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
         """Block of a draw.
 
-        `deviation` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
+        `reading_deviations` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
         """
-        if blunders_in([law.effect for law in self.effects], draw.amounts):
-            deviation = self._with_mistakes(draw)
+        if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
+            deviation = self._deviations_with_blunders(draw)
         else:
-            for place, amounts in enumerate(draw.amounts):
-                deviation += self._shift(place, amounts)
-            deviation += draw.noise
-            deviation = self._quantised(deviation)
-        lengths = self.population.lengths
-        gauge_error = draw.certified * lengths.factor[:, None] - lengths.length[:, None]
-        return TrialBatch(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
+            for place, amounts in enumerate(draw.effect_values):
+                deviation += self._effect_change(place, amounts)
+            deviation += draw.reading_errors
+            deviation = self._round_to_resolution(deviation)
+        lengths = self.distributions.reference_lengths
+        gauge_error = draw.certified_lengths * lengths.growth_factors[:, None] - lengths.lengths[:, None]
+        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, gauge_error)
 
-    def _with_mistakes(self, draw: Draw) -> Floats:
+    def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
         """Readings minus nominal readings (n, 3, B) of B trials with blunders, as the simulator computes them."""
-        assert self.work is not None
+        assert self.geometry is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
-            amounts = tuple(amount[:, k] for amount in draw.amounts)
-            gap = simulate_readings(self.work, draw.values[:, :, k], amounts, draw.noise[:, :, k]) - nominal
-            gap[:, 1] -= TURN * np.round(gap[:, 1] / TURN) * (np.abs(gap[:, 1]) < 1.5 * TURN)
-            parts.append(np.where(self.recorded, gap, 0.0))
+            amounts = tuple(amount[:, k] for amount in draw.effect_values)
+            gap = (
+                simulate_readings(self.geometry, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])
+                - nominal
+            )
+            gap[:, 1] -= FULL_TURN * np.round(gap[:, 1] / FULL_TURN) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN)
+            parts.append(np.where(self.recorded_observables, gap, 0.0))
         return np.stack(parts, axis=2)
 
-    def _exact(self, values: Floats) -> Floats:
+    def _exact_deviations(self, values: Floats) -> Floats:
         """Exact readings of the true instrument minus nominal readings, by Newton's method from the linear ones."""
         which, sightings = self.recording.instrument, self.sightings
-        program, by_value = self.chain_of(self.construction)
+        program, by_value = self.chain_and_design(self.construction)
         deviation = np.empty((len(which), 3, values.shape[2]))
         for i, parameters in enumerate(values):
             deviation[which == i] = by_value[which == i] @ parameters
-        readings_of(program, which, sightings.local, sightings.jacobian, values, deviation)
+        compute_readings(program, which, sightings.local_points, sightings.local_derivatives, values, deviation)
         return deviation
 
-    def _shift(self, place: int, amounts: Floats) -> Floats:
+    def _effect_change(self, place: int, amounts: Floats) -> Floats:
         """Change (n, 3, B) of the readings by one effect."""
         entry, linear = self.effects[place], self._linear_effects[place]
         if linear is None:
-            return np.stack([entry.effect.shift(self.sightings, v) for v in amounts.T], axis=2)
+            return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
-        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
+        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
-    def _quantised(self, deviation: Floats) -> Floats:
+    def _round_to_resolution(self, deviation: Floats) -> Floats:
         """Deviations (n, 3, B) that give readings rounded to the resolution, in place."""
-        of_row = np.broadcast_to(self.step[self.recording.instrument], deviation.shape[:2])
+        of_row = np.broadcast_to(self.resolution[self.recording.instrument], deviation.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
             selected: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
@@ -223,58 +229,64 @@ class CellTruth:
             deviation[selected, column] = step * np.round((start + deviation[selected, column]) / step) - start
         return deviation
 
-    def readings(self, block: TrialBatch, trial: int) -> Floats:
+    def trial_readings(self, block: TrialBatch, trial: int) -> Floats:
         """Readings (n, 3) of one trial of a block as from an instrument, with azimuths within +-180 deg."""
-        readings: Floats = self.recording.readings + block.deviation[:, :, trial]
-        readings[:, 1] = np.where(np.abs(readings[:, 1]) < TURN, wrap(readings[:, 1]), readings[:, 1])
-        readings[:, ~self.recorded] = np.nan
+        readings: Floats = self.recording.readings + block.reading_deviations[:, :, trial]
+        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
+        readings[:, ~self.recorded_observables] = np.nan
         return readings
 
 
-def truth_of(
-    scenario: Scenario, seed: int, *key: str | int, like: CellTruth | None = None, plan: Layout | None = None
+def make_cell_truth(
+    scenario: Scenario,
+    seed: int,
+    *key: str | int,
+    reference_truth: CellTruth | None = None,
+    plan: WorkshopLayout | None = None,
 ) -> CellTruth:
     """Truth of a scenario with a geometry that is drawn once; raises SetupError.
 
-    `key` is the stream key of the geometry; default that of `simulate`. `like`, a truth of the same scenario with
-    another geometry, provides the set-up if the same targets are visible; `plan` is the planned layout.
+    `key` is the stream key of the geometry; default that of `simulate`. `reference_truth`, a truth of the same scenario
+    with another geometry, provides the set-up if the same targets are visible; `plan` is the planned layout.
     """
-    read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
+    read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    work = fieldwork(scenario, seed, *key, plan=plan)
-    if work.sightings.lift is not None and np.any(work.sightings.lift):
+    work = make_geometry(scenario, seed, *key, plan=plan)
+    if work.sightings.reflector_offsets is not None and np.any(work.sightings.reflector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
-    s, reference = work.sightings, None if like is None else like.recording
+    s, reference = work.sightings, None if reference_truth is None else reference_truth.recording
     if (
-        like
+        reference_truth
         and reference
         and not scenario.lengths
         and (s.station_names, s.target_names) == (reference.stations, reference.targets)
     ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(like.population, sightings=s, noise=nominal_noise(scenario, s))
+        there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw, notes=work.notes),
-            _start_frame(work, there.mean),
+            reference.replace(**pointings, readings=s.raw_readings, notes=work.hidden_pair_notes),
+            _start_frame(work, there.instrument_means),
         )
-        return replace(like, recording=nominal, state=state, population=there, work=work)
-    recording = error_free(work)
-    population = population_of(work, recording)
+        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=work)
+    recording = error_free_recording(work)
+    population = trial_distributions(work, recording)
     return CellTruth(
         recording=recording,
-        state=_start_frame(work, population.mean),
-        population=population,
-        step=resolution_of(scenario),
-        recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
-        work=work,
+        state=_start_frame(work, population.instrument_means),
+        distributions=population,
+        resolution=instrument_resolutions(scenario),
+        recorded_observables=np.isin(OBSERVABLES, [*next(iter(read))]),
+        geometry=work,
     )
 
 
-def _start_frame(work: Fieldwork, mean: Floats) -> State:
+def _start_frame(work: MeasurementGeometry, mean: Floats) -> NetworkState:
     """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):
-        return State(s.position, s.rotation, s.points, mean)
-    origin, turn = s.position[0], s.rotation[0]
-    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
+        return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean)
+    origin, turn = s.station_positions[0], s.station_rotations[0]
+    return NetworkState(
+        (s.station_positions - origin) @ turn, turn.T @ s.station_rotations, (s.target_points - origin) @ turn, mean
+    )

@@ -11,7 +11,7 @@ from ltsim.core.arguments import check_mapping, source_path
 from ltsim.core.errors import SetupError
 
 if TYPE_CHECKING:
-    from ltsim.campaigns.results import Results
+    from ltsim.campaigns.results import CampaignResults
 
 
 def campaign(
@@ -24,7 +24,7 @@ def campaign(
     resume: bool = False,
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
-) -> Results:
+) -> CampaignResults:
     """Simulation, calibration and evaluation of many trials, with rows in a folder that survive interruptions.
 
     Parameters
@@ -74,10 +74,10 @@ def campaign(
     0  network      64       0
     """
     require_packages()
-    from ltsim.campaigns.campaign import Workers, run_campaign
-    from ltsim.campaigns.results import Results
+    from ltsim.campaigns.campaign import WorkerSettings, run_campaign
+    from ltsim.campaigns.results import CampaignResults
 
-    workers = Workers(jobs, backend, scheduler)
+    workers = WorkerSettings(jobs, backend, scheduler)
     check_mapping("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
@@ -86,7 +86,7 @@ def campaign(
     if tables is None and path.is_dir():
         if out is not None or resume or force or changes:
             raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
-        return Results(path)
+        return CampaignResults(path)
     folder = path.with_suffix("") if out is None else Path(out)
     run_campaign(
         path,
@@ -97,4 +97,4 @@ def campaign(
         changes=changes,
         tables=tables,
     )
-    return Results(folder)
+    return CampaignResults(folder)

@@ -24,7 +24,7 @@ MIN_SHOWN = 0.005
 """Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Rejected = Annotated[
-    bool, typer.Option("--rejected", help="Also use a calibration whose readings contradict its model.")
+    bool, typer.Option("--allow-rejected", help="Also use a calibration whose readings contradict its model.")
 ]
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
@@ -69,7 +69,7 @@ def correct(
     out: Corrected,
     *,
     reading: FramedReading,
-    rejected: Rejected = False,
+    allow_rejected: Rejected = False,
     force: Force = False,
     terminal: Terminal,
 ) -> None:
@@ -83,13 +83,13 @@ def correct(
     import numpy as np
 
     from ltsim.calibration.files import read_calibration
-    from ltsim.geometry.polar import wrap
+    from ltsim.geometry.polar import wrap_angle
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.of(source), read_calibration(calibration)
-    corrected = lt.correct(recording, instrument, again=force, rejected=rejected)
+    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
     terminal.notes((*recording.notes, *instrument.warnings))
-    if not instrument.names:
+    if not instrument.instrument_parameter_names:
         terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
         estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
@@ -98,7 +98,7 @@ def correct(
         terminal.notes(instrument.correction.sentences)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
     terminal.answer({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
@@ -127,7 +127,7 @@ def evaluate(
 
     terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
-    gross = screen_gross_errors(recording).gross
+    gross = screen_gross_errors(recording).is_gross_pointing
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
@@ -165,13 +165,13 @@ def _fitted(
     options: dict[str, Any],
 ) -> None:
     """Common part of `adjust` and `calibrate`: fit, writing and output; each replaces only its own earlier results."""
-    from ltsim.adjustment.joint import COVARIANCE
+    from ltsim.adjustment.joint import COVARIANCE_FILE
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
-    from ltsim.calibration.schema import RESIDUALS, TARGETS
+    from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
     adjust_only = verb is lt.adjust
-    names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
+    names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
     terminal.check_overwrite(
         Calibration, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
     )
@@ -287,7 +287,7 @@ def history(
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg
 
-        return {"history.svg": svg(history_figure(content.labels, content.determined))}
+        return {"history.svg": svg(history_figure(content.labels, content.determined_parameters))}
 
     written = terminal.write(content, drawn)
     terminal.result(written)

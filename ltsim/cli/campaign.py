@@ -17,13 +17,13 @@ from ltsim.cli import streams
 from ltsim.cli.places import FILE, FOLDER, Force
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.core.arguments import bounded, range_words
+from ltsim.core.arguments import bounded_parser, range_text
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.recordings.files import write_text
 
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
-    from ltsim.campaigns.results import Results
+    from ltsim.campaigns.results import CampaignResults
 
 
 MAX_BATCH_DIFFERENCE = 1e-3
@@ -68,33 +68,33 @@ def campaign(
         raise SetupError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
     require_packages()
     # Slow imports, which no other verb should wait for.
-    from ltsim.campaigns.campaign import Workers, run_campaign
-    from ltsim.campaigns.kernels import compiled_before
-    from ltsim.campaigns.results import Results
+    from ltsim.campaigns.campaign import WorkerSettings, run_campaign
+    from ltsim.campaigns.kernels import is_compiled
+    from ltsim.campaigns.results import CampaignResults
     from ltsim.campaigns.spec import load_campaign
-    from ltsim.campaigns.store import Store
+    from ltsim.campaigns.store import CampaignFolder
     from ltsim.reports.sections.campaign import campaign_section
 
-    workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
+    workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    if not compiled_before():
+    if not is_compiled():
         terminal.note("First campaign: compiling the solver takes about 30 s.")
     try:
         with terminal.progress("trials", total) as advance:
             outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
-        finished = len(Store(folder).shards())
+        finished = len(CampaignFolder(folder).shards())
         raise StoppedError(f"{finished} finished shards remain in {folder}; continue with --resume") from None
-    results = Results(folder)
+    results = CampaignResults(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv())
     for note in outcome.notes:
         terminal.note(note)
     terminal.answer(summary)
-    again = f", {outcome.existing} were finished before" if outcome.existing else ""
-    terminal.say(f"{outcome.shards} shards written to {folder}{again}\n")
+    again = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
+    terminal.say(f"{outcome.n_computed_shards} shards written to {folder}{again}\n")
     if not terminal.silent:
         terminal.say(campaign_section(folder).text())
         terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
@@ -108,7 +108,7 @@ def campaign(
     return 1 if failures else 0
 
 
-def disagreement(end: dict[str, Any], results: Results) -> str:
+def disagreement(end: dict[str, Any], results: CampaignResults) -> str:
     """Sentence for exit status 1: cell, difference and limit."""
     cell = results.manifest.cells[end["cell"]].label
     return (
@@ -124,8 +124,8 @@ RecoverJobs = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded("jobs"),
-        metavar=f"NUMBER: {range_words('jobs')}",
+        parser=bounded_parser("jobs"),
+        metavar=f"NUMBER: {range_text('jobs')}",
         help="Number of processes; default all cores, one for few trials.",
     ),
 ]
@@ -157,32 +157,32 @@ def recover(
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery import Recovery
-    from ltsim.campaigns.recovery_checks import FALSE_ALARM
-    from ltsim.campaigns.recovery_trials import TRIALS
+    from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE
+    from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
-    terminal.check_overwrite(Recovery, TRIALS.file)
+    terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
     workers = (1 if options["trials"] < FEW_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    result = terminal.write(result, lambda: {TRIALS.file: result.table("trials").csv()})
+    result = terminal.write(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv()})
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(result.content())
     if result.converged > 1:
         terminal.say(result.table("parameters").text())
-    for sentence in result.problems():
+    for sentence in result.failure_sentences():
         streams.write(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    rate = "" if result.tolerances else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
+    rate = "" if result.tolerances else f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
     done = f"{result.trials} trials, errors {MODES[result.errors]}"
-    terminal.say(f"{done}: {result.verdict()}{rate}")
+    terminal.say(f"{done}: {result.verdict_text()}{rate}")
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
     checks, unchecked = result.checks, result.unchecked
-    failed, seconds = len(result.failures()), result.arrays.seconds
+    failed, seconds = len(result.failed_checks()), result.arrays.run_time
     each = f"{seconds / len(checks):.3f}"
     lost = 0 if result.allow_unchecked else len(unchecked)
     counts = {
@@ -194,7 +194,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
     }
     root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
-        case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
+        case = SubElement(root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=each)
         inside = SubElement(case, "properties")
         for name in ("value", "low", "high"):
             SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")

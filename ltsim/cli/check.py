@@ -16,14 +16,14 @@ from ltsim.cli.examples import example_text
 from ltsim.cli.options import ControlledReading, ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.errors import NetworkError, RecordError, SetupError
-from ltsim.core.notation import aligned
+from ltsim.core.notation import align_columns
 from ltsim.recordings.files import is_number
 from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
-    from ltsim.adjustment.fieldcheck import Check, Item
+    from ltsim.adjustment.fieldcheck import Check, CheckItem
     from ltsim.measurands.spec import Tasks
-    from ltsim.recordings.coordinates import Coordinates
+    from ltsim.recordings.coordinates import EpochCoordinates
     from ltsim.recordings.recording import Recording
 
 MpeOption = Annotated[
@@ -60,9 +60,9 @@ def check(
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.adjustment.fieldcheck import Check, write_check
-    from ltsim.adjustment.fieldcheck.result import TWO_FACE
+    from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE
 
-    terminal.check_overwrite(Check, TWO_FACE.file, "check.svg")
+    terminal.check_overwrite(Check, TWO_FACE_TABLE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -143,7 +143,7 @@ def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None])
             return
 
 
-def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
+def _key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
@@ -159,12 +159,12 @@ def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultT
         return 0
     if file is None:
         raise SetupError("ltsim accept needs a FILE; ltsim accept --show prints a template")
-    from ltsim.acceptance.files import TESTS, AcceptanceFile
+    from ltsim.acceptance.files import TESTS_TABLE, AcceptanceFile
 
-    terminal.check_overwrite(AcceptanceFile, TESTS.file)
+    terminal.check_overwrite(AcceptanceFile, TESTS_TABLE.file)
     with terminal.progress("evaluating the tests"):
         content = lt.accept(file)
-    content = terminal.write(content, lambda: {TESTS.file: content.table("tests").csv()})
+    content = terminal.write(content, lambda: {TESTS_TABLE.file: content.table("tests").csv()})
     terminal.result(content)
     return int(content.kind != "predicted" and content.passes < 1)
 
@@ -216,24 +216,24 @@ def compare(
 
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
-    from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
-    from ltsim.recordings.coordinates import holds_coordinates
+    from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
+    from ltsim.recordings.coordinates import is_coordinate_file
 
-    terminal.check_overwrite(Comparison, DISPLACEMENTS.file)
-    lists = holds_coordinates(source) or holds_coordinates(second)
+    terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
+    lists = is_coordinate_file(source) or is_coordinate_file(second)
     first, later = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     with terminal.progress("comparing"):
         comparison = lt.compare(first, later, **options)
-    comparison = terminal.write(comparison, lambda: {DISPLACEMENTS.file: comparison.table().csv()})
+    comparison = terminal.write(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv()})
     terminal.result(comparison)
-    return int(bool(comparison.moved))
+    return int(bool(comparison.moved_points))
 
 
-def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
+def _listed(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
     """List of coordinates from a path, with its notes and size printed; the path of any other file."""
-    from ltsim.recordings.coordinates import holds_coordinates, read_coordinates
+    from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
-    if not holds_coordinates(path):
+    if not is_coordinate_file(path):
         return path
     coordinates = read_coordinates(path)
     terminal.notes(coordinates.notes)
@@ -262,11 +262,11 @@ def uncertainty(
     if file is None:
         raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
     from ltsim.measurands.spec import load_tasks
-    from ltsim.measurands.uncertainty import BUDGET, RESULTS, Uncertainty, compared
+    from ltsim.measurands.uncertainty import BUDGET_TABLE, RESULTS_TABLE, Uncertainty, normalised_errors_of_files
     from ltsim.recordings.result_file import read_result
     from ltsim.reports.sections import section_of
 
-    terminal.check_overwrite(Uncertainty, RESULTS.file, BUDGET.file)
+    terminal.check_overwrite(Uncertainty, RESULTS_TABLE.file, BUDGET_TABLE.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
@@ -274,7 +274,7 @@ def uncertainty(
     recording = _recording(terminal, tasks, file, drawn, in_file=source is None)
     with terminal.progress("drawing trials"):
         content = lt.uncertainty(recording, tasks, **options)
-    other = None if against is None else compared(content, read_result(against, Uncertainty))
+    other = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
     content = terminal.write(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
@@ -285,7 +285,9 @@ def uncertainty(
     if other is not None:
         head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]
         text = (
-            f"Against the other results (|E_n| up to 1 agrees):\n{aligned(head, rows)}" if other else NO_COMMON_RESULT
+            f"Against the other results (|E_n| up to 1 agrees):\n{align_columns(head, rows)}"
+            if other
+            else NO_COMMON_RESULT
         )
         terminal.say(f"\n{text}")
     terminal.written(terminal.out)
@@ -294,9 +296,9 @@ def uncertainty(
 
 def _recording(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, in_file: bool
-) -> Recording | Coordinates | Path:
+) -> Recording | EpochCoordinates | Path:
     """Recording of the tasks (simulated for a scenario), or a list of coordinates."""
-    from ltsim.recordings.coordinates import holds_coordinates
+    from ltsim.recordings.coordinates import is_coordinate_file
 
     name = tasks.source
     place = file.parent / name if in_file else Path(name)
@@ -307,6 +309,6 @@ def _recording(
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source is {place}, which is neither a recording nor a scenario")
-    if holds_coordinates(place):
+    if is_coordinate_file(place):
         return _listed(place, terminal)
     return ReadingOptions().open(place, terminal)

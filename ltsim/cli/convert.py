@@ -10,7 +10,7 @@ from ltsim.cli.options import FramedReading
 from ltsim.cli.places import ANYWHERE, Force, check_file, check_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import FORMATS
-from ltsim.recordings.summary import summary
+from ltsim.recordings.summary import recording_summary
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
 
@@ -42,7 +42,7 @@ def convert(
     recording = reading.of(source)
     terminal.notes(recording.notes)
     recording = lt.convert(recording, destination, to=to, **options)
-    topics = summary(recording)
+    topics = recording_summary(recording)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
     terminal.say(recording.headline)
     width = max(map(len, topics))

@@ -15,7 +15,9 @@ from ltsim.cli import streams
 from ltsim.cli.options import command_of
 from ltsim.core.errors import LtsimError, StoppedError, options_are_flags
 
-BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
+BAD_INPUT = 2
+UNEXPECTED = 70
+INTERRUPTED = 130
 UNWRITABLE = (
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBADF,
     errno.EMFILE, errno.ENFILE,

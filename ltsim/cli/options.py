@@ -17,8 +17,8 @@ import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
-from ltsim.core.arguments import BOUNDS, MOVE_FORM, bounded, check_choice, range_words
-from ltsim.core.errors import SPECIAL, RecordError, SetupError
+from ltsim.core.arguments import ARGUMENT_BOUNDS, MOVE_SYNTAX, bounded_parser, check_choice, range_text
+from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
@@ -34,8 +34,8 @@ Jobs = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded("jobs"),
-        metavar=f"NUMBER: {range_words('jobs')}",
+        parser=bounded_parser("jobs"),
+        metavar=f"NUMBER: {range_text('jobs')}",
         help="Number of processes; the result does not depend on it.",
     ),
 ]
@@ -135,9 +135,9 @@ class ControlledReading(ReadingOptions):
         recording = super().of(path, growing=growing)
         if self.control is None:
             return recording
-        from ltsim.adjustment.axes import with_control
+        from ltsim.adjustment.axes import with_control_points
 
-        return with_control(recording, self.control)
+        return with_control_points(recording, self.control)
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
-PYTHON_ONLY = ("advise", "again", "geometry", "about", "format", "hints", "follower")
+PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
 LARGEST = 1e12
 """Largest magnitude of a number in an option that is a mapping."""
@@ -243,7 +243,7 @@ MAPPINGS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
     "move": (
         "STATION=X,Y[,Z[,YAW]]",
-        MOVE_FORM,
+        MOVE_SYNTAX,
         _place,
     ),
 }
@@ -269,7 +269,7 @@ class FunctionOption:
     @property
     def flag(self) -> str:
         """Flag on the command line: `--noise-from-data`."""
-        return SPECIAL.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
+        return FLAG_SPELLINGS.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
 
     @property
     def several(self) -> bool:
@@ -294,15 +294,15 @@ class FunctionOption:
             kind, metavar = str, f"[{'|'.join(self.choices)}]"
         elif self.names:
             metavar = "NAME,..."
-        elif self.name in BOUNDS:
-            metavar = f"NUMBER: {range_words(self.name)}"
+        elif self.name in ARGUMENT_BOUNDS:
+            metavar = f"NUMBER: {range_text(self.name)}"
         elif metavar is None:
             metavar = "FILE" if "Path" in self.kind else "NAME" if kind is str else "N"
         default = self.default
         if self.several or default is None or default == ():
             kind, default = (list[str] if self.several else kind) | None, None
         complete = (lambda: self.choices) if self.choices else None
-        parser = bounded(self.name) if self.name in BOUNDS else None
+        parser = bounded_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
         option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete, parser=parser)
         return _option(self.name, Annotated[kind, option], default)
 
@@ -391,7 +391,7 @@ def in_axes(recording: Recording, frame: Path) -> Recording:
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
     from ltsim.simulation.scenario import load_scenario
-    from ltsim.simulation.workshop import planned
+    from ltsim.simulation.workshop import planned_layout
 
-    layout = planned(load_scenario(str(frame)))
-    return in_axes_of_points(recording, dict(zip(layout.targets, layout.points, strict=True)), str(frame))
+    layout = planned_layout(load_scenario(str(frame)))
+    return in_axes_of_points(recording, dict(zip(layout.target_names, layout.target_points, strict=True)), str(frame))

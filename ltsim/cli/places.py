@@ -18,7 +18,7 @@ import typer
 
 from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.notation import listing
-from ltsim.core.storage import check_writable, is_device, place_in, settle
+from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, path_in_folder
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -60,12 +60,12 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bo
 
 def _names_of_results() -> set[str]:
     """Fixed names of result files; the name of a truth file is an option."""
-    from ltsim.recordings.native import OBSERVATIONS
+    from ltsim.recordings.native import OBSERVATIONS_FILE
     from ltsim.reports.schemas import FILES, TABLES
 
     truth = "truth.json"
     tables = {table.file for file, companions in TABLES.items() if file != truth for table in companions}
-    return {OBSERVATIONS, *FILES, *tables} - {truth}
+    return {OBSERVATIONS_FILE, *FILES, *tables} - {truth}
 
 
 def check_overwrite(
@@ -98,7 +98,7 @@ def _is_replaceable(folder: Path, model: type[ResultFile], taken: list[str], sam
     try:
         result = read_result(folder, model)
         written = bool(result.files or result.recording) and same_verb(result)
-        return written and all(result.owns(folder, name) for name in taken if name != model.FILE)
+        return written and all(result.is_ltsim_file(folder, name) for name in taken if name != model.FILE)
     except RecordError:
         return False
 
@@ -109,17 +109,17 @@ def _taken(folder: Path, names: Iterable[str]) -> list[str]:
     Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
     check_writable(folder, folder=True)
-    finished = settle(folder) if folder.is_dir() else set()
+    finished = complete_interrupted_moves(folder) if folder.is_dir() else set()
     for name in names:
-        place_in(folder, name)
+        path_in_folder(folder, name)
     return [name for name in names if os.path.lexists(folder / name) and name not in finished]
 
 
 def check_recording(folder: Path, force: bool) -> None:
     """Check that a recording neither replaces another one nor is written among other files; raises RecordError."""
-    from ltsim.recordings.native import OBSERVATIONS, SETUP
+    from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
-    taken = _taken(folder, (OBSERVATIONS, SETUP))
+    taken = _taken(folder, (OBSERVATIONS_FILE, SETUP_FILE))
     if force:
         return
     if taken:
@@ -153,10 +153,10 @@ def _refuse_foreign(folder: Path) -> None:
 
     Raises RecordError.
     """
-    from ltsim.recordings.native import OBSERVATIONS, SETUP
+    from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
-    written = {OBSERVATIONS, SETUP}.union(*map(_answered_for, files))
+    written = {OBSERVATIONS_FILE, SETUP_FILE}.union(*map(_answered_for, files))
     foreign = sorted({p.name for p in files} - written)
     if foreign:
         raise RecordError(
@@ -188,7 +188,9 @@ def _refuse(folder: Path, taken: list[str]) -> None:
     )
 
 
-FILE, RECORDING, EMPTY = OutputPlace(check_file), OutputPlace(check_recording), OutputPlace(check_empty)
+FILE = OutputPlace(check_file)
+RECORDING = OutputPlace(check_recording)
+EMPTY = OutputPlace(check_empty)
 FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
 """Output folder whose command checks the files that it replaces."""
 ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))

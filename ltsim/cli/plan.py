@@ -18,8 +18,8 @@ from ltsim.core.errors import RecordError, SetupError
 if TYPE_CHECKING:
     from ltsim.physics.effects.signature import Signature
     from ltsim.planning.result import Plan
-    from ltsim.planning.survey import Survey
-    from ltsim.planning.verbs import Alternative
+    from ltsim.planning.survey import PlannedSurvey
+    from ltsim.planning.verbs import StationAlternative
     from ltsim.recordings import Recording
 
 PlanSource = Annotated[
@@ -48,7 +48,9 @@ Without = Annotated[
     ),
 ]
 SO_FAR = "best-so-far.toml"
-FLOOR, TRADE_OFF, PAGE = "floor.png", "tradeoff.png", "work-order.html"
+FLOOR = "floor.png"
+TRADE_OFF = "tradeoff.png"
+PAGE = "work-order.html"
 
 
 def plan(
@@ -76,14 +78,14 @@ def plan(
     Example: ltsim plan paper-workshop --out my-plan
     """
     from ltsim.planning.loading import plan_names, plan_text
-    from ltsim.planning.proposals import NEXT, NextMeasurement
+    from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
     from ltsim.planning.result import Plan
-    from ltsim.planning.tables import TABLES
+    from ltsim.planning.tables import PLAN_TABLES
 
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan needs either FILE or --after REC, not both")
-        check_overwrite(out, NextMeasurement, (NEXT.file,), force=force)
+        check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
         return _after(terminal, reading.of(after), _explanations(between), out)
     if between is not None:
         raise SetupError("--between needs --after REC, the recording that has several explanations")
@@ -98,11 +100,11 @@ def plan(
             "--without lists places for a station and takes neither --move nor --out; use --move to evaluate a place"
         )
     if without is not None:
-        return _show_places(terminal, source, lt.without_station(source, without))
+        return _show_places(terminal, source, lt.station_alternatives(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     check_overwrite(
-        folder, Plan, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
+        folder, Plan, (*(table.file for table in PLAN_TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
     )
     if changes:
         with terminal.progress("judging the layout"):
@@ -112,54 +114,54 @@ def plan(
     return _write(terminal, made, folder)
 
 
-def _show_places(terminal: Terminal, source: str, alternatives: Sequence[Alternative]) -> None:
+def _show_places(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
     terminal.answer(
         [
             {
-                "what": alternative.words,
+                "what": alternative.position_text,
                 "verdict": alternative.verdict,
-                "good": alternative.good,
-                "move": alternative.move,
+                "good": alternative.meets_goal,
+                "move": alternative.move_option,
             }
             for alternative in alternatives
         ]
     )
     for alternative in alternatives:
-        terminal.say(f"- {alternative.words}: {alternative.verdict}.")
-    places = [alternative for alternative in alternatives if alternative.move]
+        terminal.say(f"- {alternative.position_text}: {alternative.verdict}.")
+    places = [alternative for alternative in alternatives if alternative.move_option]
     if not places:
         terminal.say(
             "No other place is allowed for this station; enlarge the floor area, or search with one station less."
         )
         return
     out = Path(f"{Path(source).stem}-moved")
-    command = shlex.join(["ltsim", "plan", source, "--move", places[0].move, "--out", str(out)])
+    command = shlex.join(["ltsim", "plan", source, "--move", places[0].move_option, "--out", str(out)])
     terminal.say(f"To take the best of these places: {command}")
 
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
     """The plan of a search; the best layout so far is printed and written during the search."""
-    from ltsim.planning.layout_scenario import with_cad_copied, with_layout
-    from ltsim.planning.making import Follower
-    from ltsim.planning.result import opened
+    from ltsim.planning.layout_scenario import copy_cad_files, with_layout
+    from ltsim.planning.making import SearchCallbacks
+    from ltsim.planning.result import load_plan_and_scenario
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
-    from ltsim.simulation.workshop import bodies_of
+    from ltsim.simulation.workshop import placed_obstacles
 
-    _, scenario = opened(source)
-    for body in bodies_of(scenario):
-        terminal.say(body.words)
+    _, scenario = load_plan_and_scenario(source)
+    for body in placed_obstacles(scenario):
+        terminal.say(body.description)
 
-    def keep(survey: Survey) -> None:
+    def keep(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored, cad = with_cad_copied(with_layout(scenario, survey))
+            stored, cad = copy_cad_files(with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad, SO_FAR: scenario_to_toml(stored)})
             except RecordError as problem:
                 terminal.note(f"the best layout so far was not written: {problem}")
 
     with terminal.progress("searching layouts", 100) as advance:
-        made = lt.plan(source, **how, follower=Follower(_percent(advance), terminal.print_now, keep))
+        made = lt.plan(source, **how, callbacks=SearchCallbacks(_percent(advance), terminal.print_now, keep))
     if folder is not None:
         (folder / SO_FAR).unlink(missing_ok=True)
     return made

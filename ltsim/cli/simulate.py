@@ -139,7 +139,7 @@ def inject(
     lt.write(made, out)
     if truth is not None:
         write_text(truth, json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
-    terminal.answer({"pointings": len(made), "injected": len(injected.causes), "seed": options["seed"]})
+    terminal.answer({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
     if truth is None:
         terminal.say(repr(injected))
     terminal.say(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
@@ -152,7 +152,7 @@ def _curve(
     with terminal.progress("injecting and diagnosing"):
         power = lt.injection_curve(recording, causes[0], **options)
     table = power.table()
-    terminal.answer({"background": list(power.background), "curve": table.json()})
+    terminal.answer({"background": list(power.background_effects), "curve": table.json()})
     terminal.say(power._lines()[0])
     terminal.say(table.text())
     if file is not None:
@@ -196,12 +196,12 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    from ltsim.campaigns.kernels import compiled_before  # slow to import
+    from ltsim.campaigns.kernels import is_compiled  # slow to import
 
     for name, place in WRITTEN.items():
         place.rule(out / name, True)
     outcomes = []
-    if not compiled_before():
+    if not is_compiled():
         terminal.note("First run: compiling the solver takes about 30 s.")
     for number, (title, step) in enumerate(STEPS.items(), start=1):
         began = time.perf_counter()

@@ -15,7 +15,7 @@ from ltsim.cli.options import FramedReading
 from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, check_file
 from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.core.errors import RecordError, SetupError, require
-from ltsim.recordings.settings import sentence
+from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import About
 
 
@@ -109,11 +109,11 @@ def view(
 
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
-    from ltsim.planning.layout_scenario import PLAN, SCENARIO
+    from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
     from ltsim.reports.board.board import Board
     from ltsim.reports.board.server import BoardAccess, serve
 
-    for name in (SCENARIO, PLAN):
+    for name in (SCENARIO_FILE, PLAN_FILE):
         check_file(out / name, force)
     with terminal.progress("reading the plan"):
         access = BoardAccess(Board.of(plan), out)
@@ -164,4 +164,4 @@ def _about(**given: str | None) -> About:
     try:
         return About.model_validate(given)
     except ValidationError as problem:
-        raise SetupError(f"--{sentence(problem.errors()[0], About)}") from None
+        raise SetupError(f"--{validation_sentence(problem.errors()[0], About)}") from None

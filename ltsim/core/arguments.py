@@ -11,7 +11,7 @@ from ltsim.core.errors import SetupError, option
 
 MAX_JOBS = 256
 """Largest number of worker processes that `jobs` accepts."""
-BOUNDS: dict[str, tuple[float, float | None]] = {
+ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MAX_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
     "every": (1, 10**6),
@@ -19,36 +19,36 @@ BOUNDS: dict[str, tuple[float, float | None]] = {
 """Smallest and largest permitted value by argument name (None: no upper bound); an integer bound requires whole
 numbers.
 """
-MOVE_FORM = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
+MOVE_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
 """Syntax of a moved station, for messages and help."""
 
 
-def range_words(name: str) -> str:
+def range_text(name: str) -> str:
     """Range of an argument as text: `0 or more`, `1 to 256`."""
-    low, high = BOUNDS[name]
+    low, high = ARGUMENT_BOUNDS[name]
     number = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"
 
 
 def check_bounds(*, required: str = "", **given: object) -> None:
-    """Check of numeric arguments against `BOUNDS`; raises SetupError for a value out of range.
+    """Check of numeric arguments against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
 
     None means that an argument was not given; it is an error for the arguments in `required`, names separated by
     blanks.
     """
     for name, value in given.items():
-        low, high = BOUNDS[name]
+        low, high = ARGUMENT_BOUNDS[name]
         whole = isinstance(low, int)
         is_number = not isinstance(value, bool) and isinstance(value, Integral if whole else Real) and isfinite(value)
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
         if not (good or (value is None and name not in required.split())):
             kind = "a whole number" if whole else "a number"
-            raise SetupError(f"{option(name)} is {value}, expected {kind}, {range_words(name)}")
+            raise SetupError(f"{option(name)} is {value}, expected {kind}, {range_text(name)}")
 
 
-def bounded(name: str) -> Callable[[object], int | float]:
+def bounded_parser(name: str) -> Callable[[object], int | float]:
     """Parser of a numeric argument on the command line; it raises SetupError under the conditions of `check_bounds`."""
-    kind = int if isinstance(BOUNDS[name][0], int) else float
+    kind = int if isinstance(ARGUMENT_BOUNDS[name][0], int) else float
 
     def parsed(text: object) -> int | float:
         value: object = text

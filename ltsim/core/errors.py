@@ -92,26 +92,26 @@ class ConvergenceError(LtsimError):
 
 MAX_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
-_AS_FLAGS = {"flags": False}
-SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
+_SPELLING = {"flags": False}
+FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
 """Command-line spelling of the options that are not named like their Python parameter."""
 
 
 @contextmanager
 def options_are_flags() -> Iterator[None]:
     """Context in which `option` spells names as flags of the command line."""
-    before, _AS_FLAGS["flags"] = _AS_FLAGS["flags"], True
+    before, _SPELLING["flags"] = _SPELLING["flags"], True
     try:
         yield
     finally:
-        _AS_FLAGS["flags"] = before
+        _SPELLING["flags"] = before
 
 
 def option(name: str) -> str:
     """Spelling of an option for the reader: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
-    if not _AS_FLAGS["flags"]:
+    if not _SPELLING["flags"]:
         return name
-    return SPECIAL.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
+    return FLAG_SPELLINGS.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
 
 
 def missing_extra(what: str, extra: str) -> SetupError:

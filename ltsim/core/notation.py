@@ -10,31 +10,31 @@ from collections.abc import Sequence
 
 from ltsim.core.errors import ModelError
 
-NONE = "-"
+MISSING_TEXT = "-"
 """Text of a missing number; never `nan`."""
 MAX_DECIMALS = 12
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def number_text(value: float | None, digits: int = 3) -> str:
     """Number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
     if value is None or not math.isfinite(value):
-        return NONE
+        return MISSING_TEXT
     if value == 0:
         return "0"
     size = abs(value)
     if not 1e-4 <= size < 1e6:
         return f"{value:.{max(digits - 1, 0)}e}"
-    return fixed(value, max(digits - 1 - math.floor(math.log10(size)), 0))
+    return fixed_point_text(value, max(digits - 1 - math.floor(math.log10(size)), 0))
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
     """`1.23 +- 0.10 um`: value and one standard deviation, both to the second digit of sigma."""
     if value is None or not math.isfinite(value):
-        return NONE
+        return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
-        return f"{number(value)} {unit}".rstrip()
-    places = decimals(sigma)
-    return f"{fixed(value, places)} +- {fixed(sigma, places)} {unit}".rstrip()
+        return f"{number_text(value)} {unit}".rstrip()
+    places = decimals_of_sigma(sigma)
+    return f"{fixed_point_text(value, places)} +- {fixed_point_text(sigma, places)} {unit}".rstrip()
 
 
 def expanded(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
@@ -42,19 +42,19 @@ def expanded(value: float | None, u: float | None, unit: str = "", factor: float
     if u is None or not (math.isfinite(u) and u > 0):
         return with_sigma(value, None, unit)
     if value is None or not math.isfinite(value):
-        return NONE
-    places = decimals(u)
-    measured, half = (f"{fixed(v, places)} {unit}".rstrip() for v in (value, u))
+        return MISSING_TEXT
+    places = decimals_of_sigma(u)
+    measured, half = (f"{fixed_point_text(v, places)} {unit}".rstrip() for v in (value, u))
     return f"{measured}, U = {half} (k = {factor:.3g})"
 
 
-def decimals(sigma: float) -> int:
+def decimals_of_sigma(sigma: float) -> int:
     """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
     rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
     return min(max(1 - math.floor(math.log10(rounded)), 0), MAX_DECIMALS)
 
 
-def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
     """Rows as aligned text: the first `text_columns` columns flush left, the others flush right.
 
     Raises ModelError when a row is not as long as the header.
@@ -79,9 +79,9 @@ def listing(words: Sequence[str], most: int = 6) -> str:
     return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
-def fixed(value: float | None, places: int) -> str:
+def fixed_point_text(value: float | None, places: int) -> str:
     """Number with `places` decimals and without thousands separators; a dash for a missing number."""
     if value is None or not math.isfinite(value):
-        return NONE
+        return MISSING_TEXT
     text = f"{value:.{places}f}"
     return text.removeprefix("-") if not text.strip("-0.") else text

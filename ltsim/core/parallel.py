@@ -15,17 +15,17 @@ PARENT_CHECK_INTERVAL = 1.0
 """Time [s] between two checks of a worker that its parent process still runs."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """Environment variable that keeps Python from adding the working folder to its module path."""
-Result = TypeVar("Result")
+ReturnType = TypeVar("ReturnType")
 
 
-def parallel(
-    function: Callable[..., Result],
+def run_parallel(
+    function: Callable[..., ReturnType],
     calls: Iterable[tuple[Any, ...]],
     jobs: int,
     *,
     ordered: bool = True,
     batch: int = 1,
-) -> Iterator[Result]:
+) -> Iterator[ReturnType]:
     """Results of a function for each tuple of arguments in `calls`, computed by `jobs` processes.
 
     With `jobs=1` this process computes them. The function must be importable by its name. Results come in the order of
@@ -40,13 +40,13 @@ def parallel(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     how = "generator" if ordered else "generator_unordered"
-    watching = {"initializer": _watch, "initargs": (os.getpid(),)}
+    watching = {"initializer": _watch_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
-    with _safe_path():
+    with _without_working_folder():
         results = pool(delayed(function)(*arguments) for arguments in calls)
     try:
-        with _safe_path():
+        with _without_working_folder():
             for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning
                 yield result
     except TerminatedWorkerError:
@@ -60,7 +60,7 @@ def parallel(
 
 
 @contextmanager
-def _safe_path() -> Iterator[None]:
+def _without_working_folder() -> Iterator[None]:
     """Context in which worker processes start without the working folder on their path.
 
     A `numpy.py` in the working folder would run in place of numpy.
@@ -76,7 +76,7 @@ def _safe_path() -> Iterator[None]:
             os.environ[SAFE_PATH] = before
 
 
-def _watch(parent: int) -> None:
+def _watch_parent(parent: int) -> None:
     """Thread that ends this process as soon as its parent process no longer exists."""
 
     def look() -> None:

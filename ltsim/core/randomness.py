@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from ltsim.core.errors import SetupError
 
-WORD = 2**32
-BLOCK = 256
+WORD_SIZE = 2**32
+TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose numbers come from one stream. It is part of the definition of the numbers and must
 not change.
 """
 
 
 @lru_cache(maxsize=4096)
-def _number(name: str) -> int:
+def _key_number(name: str) -> int:
     return zlib.crc32(name.encode())
 
 
@@ -47,37 +47,42 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     """
     if seed < 0:
         raise SetupError(f"seed is {seed}, expected 0 or more")
-    spawn_key = tuple([_number(part) if isinstance(part, str) else part for part in key])
-    if max(seed, *spawn_key) >= WORD:
+    spawn_key = tuple([_key_number(part) if isinstance(part, str) else part for part in key])
+    if max(seed, *spawn_key) >= WORD_SIZE:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
     # The state that SeedSequence makes of seed and key if each is one word, in a third of the time.
     words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
-def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
+def standard_normal_trials(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers (size, B) of the trials with numbers `trials` (B,) under `key`.
 
     Each trial is independent of the others in the call.
 
-    Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
+    Trial 0 has the stream of the key alone; `TRIALS_PER_STREAM` consecutive trials, from 0 on, share one for all
+    others.
     """
     first, count = int(trials[0]), len(trials)
-    if count == BLOCK and not first % BLOCK and np.array_equal(trials, np.arange(first, first + BLOCK)):
-        return _block(seed, first // BLOCK, size, *key)
+    if (
+        count == TRIALS_PER_STREAM
+        and not first % TRIALS_PER_STREAM
+        and np.array_equal(trials, np.arange(first, first + TRIALS_PER_STREAM))
+    ):
+        return _block_numbers(seed, first // TRIALS_PER_STREAM, size, *key)
     if count == 1 and not first:
         return stream(seed, *key).standard_normal((size, 1))
-    blocks, places = np.divmod(trials, BLOCK)
+    blocks, places = np.divmod(trials, TRIALS_PER_STREAM)
     numbers = np.empty((size, count))
     for block in np.unique(blocks).tolist():
         in_block = blocks == block
-        numbers[:, in_block] = _block(seed, block, size, *key)[:, places[in_block]]
+        numbers[:, in_block] = _block_numbers(seed, block, size, *key)[:, places[in_block]]
     return numbers
 
 
-def _block(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
+def _block_numbers(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers (size, BLOCK) of all trials of one block."""
-    numbers = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
+    numbers = stream(seed, *key, "block", block).standard_normal((size, TRIALS_PER_STREAM))
     if not block:
         numbers[:, 0] = stream(seed, *key).standard_normal(size)
     return numbers

@@ -23,25 +23,26 @@ from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import descriptions
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
 from ltsim.core.limits import LINES
-from ltsim.core.notation import NONE, aligned, decimals, number, with_sigma
+from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_text
-from ltsim.core.units import BY_ENDING, unit_of_key
+from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
 from ltsim.core.values import ValueEquality
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-FORMULA = ("=", "+", "-", "@", "'")
-LARGEST = 1e40
+FORMULA_STARTS = ("=", "+", "-", "@", "'")
+"""Characters at the start of a cell that a spreadsheet interprets as a formula."""
+MAX_MAGNITUDE = 1e40
 """Largest magnitude of a number in a result file; products of eight larger numbers, as in a product of four variances,
 could overflow.
 """
-MAX_SHOWN = 12
+MAX_NOTEBOOK_ROWS = 12
 """Number of table rows that a notebook shows."""
-Kind = Literal["text", "number", "flag", "chance"]
-Columns = Mapping[str, Sequence[Any]]
+ColumnKind = Literal["text", "number", "flag", "chance"]
+ColumnValues = Mapping[str, Sequence[Any]]
 """Columns of equal length by their headers."""
 
 
@@ -77,7 +78,7 @@ class Column:
 
     name: str
     meaning: str = ""
-    kind: Kind = "number"
+    kind: ColumnKind = "number"
     form: str = ""
     shown: str = ""
     sigma: str = ""
@@ -91,7 +92,7 @@ class Column:
     def heading(self) -> str:
         """Displayed title with its unit: `x [mm]`."""
         unit = self.unit or unit_of_key(self.name)
-        ending = next((e for e, u in BY_ENDING.items() if u == unit and self.name.endswith(e)), "")
+        ending = next((e for e, u in UNIT_BY_KEY_ENDING.items() if u == unit and self.name.endswith(e)), "")
         title = self.title or self.name.removesuffix(ending).replace("_", " ")
         return f"{title} [{unit}]" if unit else title
 
@@ -100,7 +101,7 @@ class Column:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
-            return guarded(str(value))
+            return guard_formula(str(value))
         if self.form:
             return repr(float(value)) if self.form == "r" else format(value, self.form)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
@@ -108,7 +109,7 @@ class Column:
     def display(self, value: Any, precision: Any = None) -> str:
         """Displayed text of a value, `precision` being the value of its column `sigma` or `like`; a dash for none."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            return NONE
+            return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
             return "yes" if value else ""
         if isinstance(value, str) or self.kind == "text":
@@ -118,10 +119,10 @@ class Column:
         if self.sigma:
             return with_sigma(float(value), precision)
         if self.like and precision and 0 < precision < math.inf:
-            return f"{value:.{decimals(precision)}f}"
+            return f"{value:.{decimals_of_sigma(precision)}f}"
         if self.shown:
             return format(value, self.shown)
-        return str(value) if isinstance(value, int | np.integer) else number(float(value), self.digits)
+        return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.digits)
 
 
 def texts(**columns: str) -> tuple[Column, ...]:
@@ -163,7 +164,7 @@ class Table(ValueEquality):
     """A table: subject and columns, declared once; `filled` adds rows.
 
     Spreadsheets take a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. Such a text is written to CSV
-    with an apostrophe before it, as is a text that begins with an apostrophe; `parsed` removes it.
+    with an apostrophe before it, as is a text that begins with an apostrophe; `parse_csv` removes it.
     """
 
     file: str
@@ -173,9 +174,9 @@ class Table(ValueEquality):
     rows: tuple[tuple[Any, ...], ...] = ()
 
     @classmethod
-    def of_columns(cls, name: str, columns: Columns, about: str = "") -> Table:
+    def from_columns(cls, name: str, columns: ColumnValues, about: str = "") -> Table:
         """Table of columns that are not declared in advance, such as additional columns of a recording."""
-        made = tuple(Column(head, kind=_kind_of(column)) for head, column in columns.items())
+        made = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
         return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
 
     def filled(self, rows: Iterable[Any]) -> Table:
@@ -201,7 +202,7 @@ class Table(ValueEquality):
         """Names of the columns."""
         return [column.name for column in self.columns]
 
-    def only(self, names: str) -> Table:
+    def with_columns(self, names: str) -> Table:
         """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
         by_name = {column.name: column for column in self.columns}
         wanted = [by_name[name] for name in names.split() if name in by_name]
@@ -233,12 +234,12 @@ class Table(ValueEquality):
         """Content of the CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([guarded(name) for name in self.header])
+        writer.writerow([guard_formula(name) for name in self.header])
         for row in self.rows:
             writer.writerow([column.cell(value) for column, value in zip(self.columns, row, strict=True)])
         return stream.getvalue()
 
-    def parsed(self, text: str, file: object = None) -> Table:
+    def parse_csv(self, text: str, file: object = None) -> Table:
         """The table with the rows of a CSV text; an empty number is NaN, undeclared columns are ignored.
 
         Raises
@@ -256,7 +257,7 @@ class Table(ValueEquality):
                 what = "is there twice" if missing[0] in names else "is missing"
                 raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
             return self.filled(
-                [_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
+                [_parse_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
             )
         except csv.Error as problem:
             raise RecordError(f"is not CSV ({problem})", file=file) from None
@@ -267,7 +268,7 @@ class Table(ValueEquality):
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.rows), 0))
 
     @property
-    def _displayed(self) -> list[Column]:
+    def _displayed_columns(self) -> list[Column]:
         """Displayed columns: without empty ones and standard deviations, which share a cell with their value."""
         merged = {column.sigma for column in self.columns}
         empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
@@ -276,23 +277,23 @@ class Table(ValueEquality):
     @property
     def headings(self) -> list[str]:
         """Displayed titles of the columns, with units."""
-        return [column.heading for column in self._displayed]
+        return [column.heading for column in self._displayed_columns]
 
     @property
     def meanings(self) -> dict[str, str]:
         """Meanings of the displayed columns by heading; columns without a meaning are omitted."""
-        return {column.heading: column.meaning for column in self._displayed if column.meaning}
+        return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
     def cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        displayed = [(c, c.sigma or c.like) for c in self._displayed]
+        displayed = [(c, c.sigma or c.like) for c in self._displayed_columns]
         return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in displayed] for row in self.rows]
 
     def text(self) -> str:
         """Aligned text for a terminal: text flush left, numbers flush right."""
-        kinds = [column.kind == "text" for column in self._displayed]
-        return aligned(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
+        kinds = [column.kind == "text" for column in self._displayed_columns]
+        return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
     def html(self) -> str:
         """HTML table of the first rows for a notebook; texts are escaped."""
@@ -303,9 +304,9 @@ class Table(ValueEquality):
         )
         rows = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in replace(self, rows=self.rows[:MAX_SHOWN]).cells()
+            for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
         )
-        more = len(self.rows) - MAX_SHOWN
+        more = len(self.rows) - MAX_NOTEBOOK_ROWS
         rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
 
@@ -320,7 +321,7 @@ class Result(ValueEquality):
         """Summary of the result in a few lines."""
         raise NotImplementedError
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         """Functions that make the tables, by name; the first one is the default."""
         return {}
 
@@ -351,7 +352,7 @@ class Result(ValueEquality):
             kind = type(self).__name__
             raise unknown_name(f"table of a {kind}", chosen, tables) if tables else ModelError(f"{kind} has no table")
         made = tables[chosen]()
-        return made if isinstance(made, Table) else Table.of_columns(chosen, made)
+        return made if isinstance(made, Table) else Table.from_columns(chosen, made)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
         """A table of the result as a data frame; raises ModelError as `table`, SetupError without pandas."""
@@ -363,35 +364,35 @@ class Result(ValueEquality):
         return figure
 
 
-def guarded(text: str) -> str:
+def guard_formula(text: str) -> str:
     """The text with an apostrophe before it if a spreadsheet would interpret it as a formula."""
-    return f"'{text}" if text.startswith(FORMULA) else text
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
-def plain(text: str) -> str:
-    """The text without the apostrophe of `guarded`."""
-    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA) else text
+def unguard_formula(text: str) -> str:
+    """The text without the apostrophe of `guard_formula`."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
-def _kind_of(column: Sequence[Any]) -> Kind:
+def _column_kind(column: Sequence[Any]) -> ColumnKind:
     first = next((value for value in column if value is not None), None)
     return "flag" if isinstance(first, bool | np.bool_) else "text" if isinstance(first, str) else "number"
 
 
-def _value(column: Column, cell: str, file: object, row: int) -> Any:
+def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     if column.kind == "text":
-        return plain(cell)
+        return unguard_formula(cell)
     if column.kind == "flag":
         return cell == "True"
     try:
         value = float(cell or "nan")
     except ValueError:
         value = math.inf
-    if abs(value) > LARGEST:
+    if abs(value) > MAX_MAGNITUDE:
         raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value
 
 
-def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
+def columns_from_rows(rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
     """Columns from rows that have equal keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}

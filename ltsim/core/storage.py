@@ -2,7 +2,7 @@
 
 Contents are written to temporary files first; a journal then lists their final names, and the moves follow. A process
 that is killed before the journal leaves the folder unchanged; the next process that writes there completes the moves of
-a journal (`settle`). Files and folders have the permissions of the user's umask.
+a journal (`complete_interrupted_moves`). Files and folders have the permissions of the user's umask.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from tempfile import TemporaryFile
 
 from ltsim.core.errors import RecordError
 
-MODE = 0o666
+FILE_MODE = 0o666
 """Permissions of a new file before the umask applies."""
-_RUN = secrets.token_hex(4)
+_PROCESS_TOKEN = secrets.token_hex(4)
 """Random token of this process; process numbers alone are reused by the system."""
-_TEMPORARY = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
+_TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
 """Pattern of the names of temporary files and journals; the groups are number and token of the writing process."""
 
 
@@ -31,30 +31,30 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
     """Atomic writing of files into a folder, which is created if necessary: all of them are written, or none.
 
     A name may contain folders. A device or a pipe is written to directly. `durable` files and their names are flushed
-    to the disk. Raises OSError, and RecordError as `place_in`.
+    to the disk. Raises OSError, and RecordError as `path_in_folder`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    settle(folder)
+    complete_interrupted_moves(folder)
     moves: dict[str, str] = {}
-    journal = folder / _temporary("moves")
+    journal = folder / _temporary_name("moves")
     try:
         for name, content in contents.items():
-            place = place_in(folder, name)
+            place = path_in_folder(folder, name)
             place.parent.mkdir(parents=True, exist_ok=True)
             if place.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder / name))
             if is_device(place):
                 place.write_bytes(content)
                 continue
-            temporary = place.parent / _temporary("tmp")
+            temporary = place.parent / _temporary_name("tmp")
             moves[os.path.relpath(temporary, folder)] = name
-            _create(temporary, content, durable=durable)
+            _create_file(temporary, content, durable=durable)
         if len(moves) > 1:
-            _create(journal, json.dumps(moves).encode(), durable=durable)
+            _create_file(journal, json.dumps(moves).encode(), durable=durable)
         try:
-            _move(folder, moves, durable=durable)
+            _rename_files(folder, moves, durable=durable)
         except KeyboardInterrupt:
-            _move(folder, moves, durable=durable)
+            _rename_files(folder, moves, durable=durable)
             raise
     finally:
         for temporary in (*(folder / name for name in moves), journal):
@@ -62,7 +62,7 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
                 temporary.unlink(missing_ok=True)
 
 
-def settle(folder: Path) -> set[str]:
+def complete_interrupted_moves(folder: Path) -> set[str]:
     """Completion of the interrupted moves of killed processes.
 
     Returns the names of the completed files and removes temporary ones.
@@ -70,25 +70,25 @@ def settle(folder: Path) -> set[str]:
     Raises OSError.
     """
     finished: set[str] = set()
-    for journal in _abandoned(folder, "moves"):
+    for journal in _abandoned_files(folder, "moves"):
         try:
             moves = json.loads(journal.read_bytes())
             valid = isinstance(moves, dict) and all(
-                isinstance(name, str) and _TEMPORARY.fullmatch(Path(source).name) for source, name in moves.items()
+                isinstance(name, str) and _TEMPORARY_NAME.fullmatch(Path(source).name) for source, name in moves.items()
             )
         except ValueError:  # killed while it wrote the journal
             valid = False
         if valid:
-            moves = {source: name for source, name in moves.items() if _inside(folder, source)}
-            _move(folder, moves, durable=False)
+            moves = {source: name for source, name in moves.items() if _is_inside(folder, source)}
+            _rename_files(folder, moves, durable=False)
             finished.update(moves.values())
         journal.unlink(missing_ok=True)
-    for temporary in _abandoned(folder, "tmp"):
+    for temporary in _abandoned_files(folder, "tmp"):
         temporary.unlink(missing_ok=True)
     return finished
 
 
-def place_in(folder: Path, name: str) -> Path:
+def path_in_folder(folder: Path, name: str) -> Path:
     """Path of a file in a folder, symbolic links resolved; RecordError for a link that leaves the folder."""
     place = Path(os.path.realpath(folder / name))
     if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
@@ -126,27 +126,27 @@ def check_writable(path: Path, *, folder: bool) -> None:
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
     if not folder:
-        place_in(path.parent, path.name)
+        path_in_folder(path.parent, path.name)
 
 
-def _temporary(ending: str) -> str:
-    return f".ltsim-{os.getpid()}-{_RUN}-{secrets.token_hex(4)}.{ending}"
+def _temporary_name(ending: str) -> str:
+    return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{ending}"
 
 
-def _create(path: Path, content: bytes, *, durable: bool) -> None:
+def _create_file(path: Path, content: bytes, *, durable: bool) -> None:
     """Creation of a file with the permissions that the umask permits."""
-    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, MODE)) as stream:
+    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, FILE_MODE)) as stream:
         stream.write(content)
         if durable:
             stream.flush()
             os.fsync(stream.fileno())
 
 
-def _move(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
+def _rename_files(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
     """Renaming of temporary files to their final names; files that were already renamed are skipped."""
     parents = set()
     for source, name in moves.items():
-        place = place_in(folder, name)
+        place = path_in_folder(folder, name)
         with contextlib.suppress(FileNotFoundError):
             os.replace(folder / source, place)
         parents.add(place.parent)
@@ -158,23 +158,23 @@ def _move(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
             os.close(handle)
 
 
-def _inside(folder: Path, name: str) -> bool:
+def _is_inside(folder: Path, name: str) -> bool:
     return Path(os.path.realpath(folder / name)).is_relative_to(os.path.realpath(folder))
 
 
-def _abandoned(folder: Path, ending: str) -> Iterator[Path]:
+def _abandoned_files(folder: Path, ending: str) -> Iterator[Path]:
     """Temporary files of processes that have ended, in a folder and its subfolders."""
     for path in [*folder.glob(f".ltsim-*.{ending}"), *folder.glob(f"*/.ltsim-*.{ending}")]:
-        match = _TEMPORARY.fullmatch(path.name)
-        if match and not _runs(int(match[1]), match[2]):
+        match = _TEMPORARY_NAME.fullmatch(path.name)
+        if match and not _is_running(int(match[1]), match[2]):
             yield path
 
 
-def _runs(process: int, mark: str) -> bool:
+def _is_running(process: int, mark: str) -> bool:
     if os.name == "nt":  # where `os.kill` would end the process
         return True
     if process == os.getpid():
-        return mark == _RUN
+        return mark == _PROCESS_TOKEN
     try:
         os.kill(process, 0)
     except ProcessLookupError:

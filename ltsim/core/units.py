@@ -1,6 +1,6 @@
 """Units of input and output; inside, every float is SI: metre, radian, second, kelvin difference.
 
-A parameter declares its unit of display; `FACTOR[unit]` is that unit in SI: ``displayed = value / FACTOR[unit]``.
+A parameter declares its display unit; ``displayed = value / SI_PER_UNIT[unit]``.
 """
 
 import functools
@@ -16,10 +16,10 @@ ARCSECOND = math.pi / 648_000
 DEGREE = math.pi / 180
 GON = math.pi / 200
 PPM = 1e-6
-EARTH = 6_371_000.0
+EARTH_RADIUS = 6_371_000.0
 """Mean radius [m] of the earth."""
 
-FACTOR = MappingProxyType(
+SI_PER_UNIT = MappingProxyType(
     {
         "um": MICROMETRE,
         "mm": MILLIMETRE,
@@ -54,15 +54,16 @@ FACTOR = MappingProxyType(
         "um2/m3": MICROMETRE**2,
     }
 )
+"""Size of each unit in SI."""
 
-CONVERTIBLE = (
+CONVERTIBLE_UNITS = (
     frozenset({"um", "mm", "cm", "m", "in", "ft"}),
     frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "rad"}),
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
 """Groups of units that convert into each other."""
-_SPELT = MappingProxyType(
+_SPELLINGS = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
         "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss d.ms d.mmss dd.mmss ddd.mmss ddd.mmssss",
@@ -73,62 +74,67 @@ _SPELT = MappingProxyType(
         "c": "c °c degc", "hpa": "hpa mbar", "%": "% pct",
     }
 )  # fmt: skip
-NAMED = MappingProxyType({word.replace("_", " "): unit for unit, words in _SPELT.items() for word in words.split()})
+UNITS_BY_SPELLING = MappingProxyType(
+    {word.replace("_", " "): unit for unit, words in _SPELLINGS.items() for word in words.split()}
+)
 """Units by their spellings in lower case; `dms` is degrees, minutes and seconds in one cell."""
-ANGLES = ("deg", "gon", "rad", "dms")
-LENGTHS = ("mm", "m", "in", "cm", "ft", "um")
-SMALL_ANGLES = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
+ANGLE_UNITS = ("deg", "gon", "rad", "dms")
+"""Units of angles."""
+LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
+"""Units of lengths."""
+SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
+"""Units of small angles, such as standard deviations."""
 _PI = Decimal("3.14159265358979323846264338327950288")
-_CIRCLE = MappingProxyType(
+_CIRCLE_PARTS = MappingProxyType(
     {
         "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "rad": 2 * _PI, "mrad": 2000 * _PI,
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
     }
 )  # fmt: skip
-BY_ENDING = MappingProxyType(
+UNIT_BY_KEY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",
         "_ppm": "ppm", "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
     }
 )  # fmt: skip
 """Units by the last part of a key, such as `mm` for `_mm`."""
-BY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
+UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
 """Units by the first word of a key, such as `s` for `seconds`."""
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
+_QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
 
 
 @functools.cache
-def ratio(unit: str, other: str) -> Decimal:
+def unit_ratio(unit: str, other: str) -> Decimal:
     """Exact ratio of one unit to another; both are units of angle, of length or of time."""
-    if unit in _CIRCLE:
-        return _CIRCLE[other] / _CIRCLE[unit]
-    return Decimal(repr(FACTOR[unit])) / Decimal(repr(FACTOR[other]))
+    if unit in _CIRCLE_PARTS:
+        return _CIRCLE_PARTS[other] / _CIRCLE_PARTS[unit]
+    return Decimal(repr(SI_PER_UNIT[unit])) / Decimal(repr(SI_PER_UNIT[other]))
 
 
 def unit_of_key(key: str) -> str:
     """Unit in the name of a key; empty for a key without one."""
-    for ending, name in BY_ENDING.items():
+    for ending, name in UNIT_BY_KEY_ENDING.items():
         if key.endswith(ending):
             return name
-    return BY_BEGINNING.get(key.partition("_")[0], "")
+    return UNIT_BY_KEY_BEGINNING.get(key.partition("_")[0], "")
 
 
-def same_kind(unit: str, other: str) -> bool:
+def has_same_kind(unit: str, other: str) -> bool:
     """True for two units of the same kind of quantity, such as two lengths."""
-    return unit == other or any({unit, other} <= kind for kind in CONVERTIBLE)
+    return unit == other or any({unit, other} <= kind for kind in CONVERTIBLE_UNITS)
 
 
-def in_unit(text: str, unit: str) -> float | None:
+def parse_in_unit(text: str, unit: str) -> float | None:
     """Number in another unit of the same kind, from a text with its unit such as ``2 urad``.
 
     It is None if the text is no such quantity.
     """
-    match = _QUANTITY.fullmatch(text)
+    match = _QUANTITY_PATTERN.fullmatch(text)
     if match is None:
         return None
     value, given = float(match[1]), match[2].replace("µ", "u").replace('"', "arcsec")
     if given == unit:
         return value
-    if not same_kind(given, unit):
+    if not has_same_kind(given, unit):
         return None
-    return float(f"{value * FACTOR[given] / FACTOR[unit]:.15g}")
+    return float(f"{value * SI_PER_UNIT[given] / SI_PER_UNIT[unit]:.15g}")

@@ -24,9 +24,9 @@ from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
-from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
@@ -49,12 +49,12 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
-    points, change = fitted.adjustment.state.points + space.moved_targets(linear), -linear
+    points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(model, i)
         weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
-        shifts = np.stack([-space.moved_targets(row) for row in changes])
+        shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
@@ -64,9 +64,9 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
     residual_shift = (1.0 - _safe_share(fitted.adjustment, by_laws, deviations)) * by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = fitted.adjustment
-    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target)
+    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - residual_shift, covariance, spread), space.unwhitened(change)
+    return Targets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
@@ -74,12 +74,14 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
 
     Explanations deviate by (k, T, 3) [m].
     """
-    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
-    shift = without_rigid_motion(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
+    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.target_points)
+    shift = remove_rigid_motion(
+        np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
+    )[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
-    along[problem.unknowns.target.ravel()] = shift
+    along[problem.unknowns.target_columns.ravel()] = shift
     disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
-    spread = float(along @ adjusted.factor.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
+    spread = float(along @ adjusted.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
     noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(deviations**2))
     return safe_share(float(shift @ shift), spread, noise)
 
@@ -129,7 +131,9 @@ def _is_noise(hypothesis: Hypothesis) -> bool:
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
     """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
-        [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
+        []
+        if isinstance(chosen.effect, EmpiricalLaw)
+        else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )
     if not shapes:
         return [(chosen, 1.0)]
@@ -141,14 +145,14 @@ def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple
 def first_order_change(searcher: Searcher, model: Model) -> Floats:
     """First-order change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
-        return np.zeros(searcher.space.size)
+        return np.zeros(searcher.space.n_rows)
     mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
-    change: Floats = np.hstack([searcher.space.signature(h.effect) for h in model.members]) @ mean
+    change: Floats = np.hstack([searcher.space.whitened_signature(h.effect) for h in model.members]) @ mean
     return change
 
 
 def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
-    change: Floats = searcher.space.signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
+    change: Floats = searcher.space.whitened_signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
     return change

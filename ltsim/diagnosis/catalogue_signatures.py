@@ -18,9 +18,9 @@ from ltsim.core.arrays import Floats, Ints, Singles, stacked
 from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.null_ensemble import NullEnsemble, square
 from ltsim.physics.effects import BASELINE, CATALOGUE
-from ltsim.physics.effects.effect import Effect, NoiseEffect, Stage
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.places import trackers_of
+from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -38,9 +38,9 @@ beyond their prior.
 """
 
 
-def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[Tunable]:
+def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
     """Every effect of the catalogue, at every place and shape; constants of each of several `instruments` too."""
-    trackers = trackers_of(sightings, instruments)
+    trackers = instrument_places(sightings, instruments)
     constants = [kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY for place in trackers]
     kinds = [kind for kind in CATALOGUE if not issubclass(kind, NoiseEffect)]
     return [*constants, *(e for kind in kinds for e in kind.candidates(sightings))]
@@ -103,30 +103,30 @@ class CatalogueSignatures:
     family : (h,) int
     """
 
-    effects: list[Tunable]
+    effects: list[CandidateEffect]
     groups: list[Group]
     families: tuple[str, ...]
     family: Ints
 
     @classmethod
-    def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> CatalogueSignatures:
+    def of(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
-        touching: list[Tunable] = []
+        touching: list[CandidateEffect] = []
         sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
         dense: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
-        read = np.nonzero(space.use)
-        other = np.ones(space.size - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
-        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.use.shape, strict=True))
+        read = np.nonzero(space.used_readings)
+        other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
+        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
         for effect in effects:
-            signature = space.signature(effect)
+            signature = space.whitened_signature(effect)
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if not len(places):
                 continue
             touched = np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(places) < SPARSE * space.size
+            is_sparse = len(places) < SPARSE * space.n_rows
             stored = places if is_sparse else np.flatnonzero(touched[kind])
             signature = signature[stored]
-            signature *= effect.spread
+            signature *= effect.size_scales
             effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
             rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
             if is_sparse:
@@ -136,7 +136,7 @@ class CatalogueSignatures:
                 members.append(len(touching))
                 made.append(rows)
             touching.append(effect)
-        groups = [_sparse(size, sparse.pop(size), space.size) for size in sorted(sparse)]
+        groups = [_sparse(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
         groups += [
             _dense(size, members, stacked(made), np.flatnonzero(np.array(kinds)[kind]))
             for (size, kinds), (members, made) in sorted(dense.items())
@@ -150,8 +150,8 @@ class CatalogueSignatures:
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
-        ratio = np.ones(after.size, dtype=np.float32)
-        ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
+        ratio = np.ones(after.n_rows, dtype=np.float32)
+        ratio[: int(after.used_readings.sum())] = (before.sigma / after.sigma)[after.used_readings]
         return replace(self, groups=[group.scaled(ratio) for group in self.groups])
 
     def score(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
@@ -191,13 +191,13 @@ class CatalogueSignatures:
         return log_means(values, self.family, len(self.families)) if self.effects else values
 
 
-def _scaled_to_noise(effect: Tunable, signature: Floats, pointing: Ints) -> tuple[Tunable, float]:
+def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
     """Effect with a plausible size raised to the noise level, and the factor.
 
     The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
     whitened signature of plausible size, and the pointing (r,) of each.
     """
-    if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == Stage.AIR:
+    if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == LightPathStage.AIR:
         return effect, 1.0
     squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
     coarser = times_to_noise(np.sqrt(squares))

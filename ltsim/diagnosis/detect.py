@@ -58,10 +58,10 @@ class Detection:
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     """Joint test of the residuals of an adjustment against all effects, laws and changes of the noise."""
     space = searcher.space
-    noise_evidence = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
+    noise_evidence = noise.family_evidence(space.residuals[:, None], space.redundancy)[:, 0]
     simulated = noise.family_evidence(searcher.probe.trials, space.redundancy)
     statistic = float(log_sum_exp(np.append(noise_evidence, searcher.first.statistic)))
     null = np.logaddexp(log_sum_exp(simulated), searcher.first.null)
-    chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
+    chi2, dof = float(space.residuals @ space.residuals), space.adjustment.dof
     plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     return Detection(statistic, plain, null)

@@ -10,19 +10,19 @@ from ltsim.adjustment.remedies.detectability import (
     EffectDetectability,
     MinimalSize,
     effect_detectability,
-    thinned,
+    select_places,
     visible_information,
 )
-from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
-from ltsim.adjustment.remedies.remedy import advice
+from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_deciding_measurements, residual_space_of
+from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import UNCHECKED
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Undetectable
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
@@ -52,7 +52,7 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
     detectable, hidden = [], []
     for effects in cards.by_family():
         rows = _detectability(space, effects).table()
-        times = np.array([row.typical / row.prior_sigma for row in rows])
+        times = np.array([row.median_size / row.prior_sigma for row in rows])
         best = int(np.flatnonzero(times <= times.min() * (1.0 + TIE))[0])
         if times[best] < OUT_OF_REACH:
             detectable.append(rows[best])
@@ -64,17 +64,17 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
 def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
     """Detectability of an effect at a sample of its places, in double precision."""
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
-    for size, same in groupby(thinned(effects), key=lambda effect: len(effect.parameters)):
+    for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, AT_ONCE // (space.size * size))
+        step = max(1, AT_ONCE // (space.n_rows * size))
         for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
-            signatures = np.hstack([space.signature(effect) for effect in batch])
+            signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)
-            grams = np.stack(space.projection.grams(signatures, edges, slice(None)))
+            grams = np.stack(space.projector.gram_matrices(signatures, edges, slice(None)))
             norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
             information, share, rank = visible_information(
-                grams / (unit[:, :, None] * unit[:, None, :]), norm, UNCHECKED
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, MIN_NUMERICAL_REDUNDANCY
             )
             entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))
@@ -82,7 +82,7 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
 
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = round(max(distortion(space, space.signature(effect) @ size) for size in sizes), DIGITS)
+    hides = round(max(distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DIGITS)
     size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
     factor = times if np.isfinite(times) else None
@@ -91,15 +91,15 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
         reason=reason,
         undetected_target_error_um=hides,
         detectable_at_factor=factor,
-        cure=advice("cause"),
+        cure=advice_sentence("cause"),
     )
 
 
 def distortion(space: ResidualSpace, shift: Floats) -> float:
     """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
-    moved = space.moved_targets(shift).ravel()
-    points = space.adjustment.state.points
-    motion = rigid_motion(points, points.mean(axis=0))
+    moved = space.target_shifts(shift).ravel()
+    points = space.adjustment.state.target_points
+    motion = rigid_motion_design(points, points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(rest**2)))
 
@@ -117,12 +117,12 @@ def separating_measurement(
     names = _comparable(effect, equivalents)
     if not names:
         return ""
-    space = space_of(adjustment, with_effects)
+    space = residual_space_of(adjustment, with_effects)
     try:
-        explanations = [explanation(space, name) for name in names]
+        explanations = [best_explanation(space, name) for name in names]
     except ModelError:  # the network absorbs one of them
         return ""
-    return deciding(adjustment, explanations, with_effects, first_is_enough=True).advice
+    return rank_deciding_measurements(adjustment, explanations, with_effects, stops_at_first=True).advice_sentence
 
 
 def open_question(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:

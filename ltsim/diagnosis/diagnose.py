@@ -7,10 +7,10 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.identification import Selection, identified, outcomes
+from ltsim.adjustment.identification import CauseSelection, cause_tests, identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.structure import refusing_singular
+from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
@@ -35,9 +35,9 @@ from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.responses import VARIED, constants_in
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -59,7 +59,7 @@ to 7) for each additional one.
 """
 
 
-@refusing_singular
+@raise_for_singular_network
 @single_threaded
 def diagnose(
     recording: Recording,
@@ -101,10 +101,10 @@ def diagnose(
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
     )
-    selection = identified(recording, construction)
+    selection = identify_causes(recording, construction)
     if selection is None:
         baseline, mistaken = adjust(recording, construction), list[Finding]()
-        use = baseline.problem.use
+        use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
@@ -117,21 +117,21 @@ def diagnose(
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
             beginning, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
-    settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
+    settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
     odd = [instrument_finding(c) for c in contradicting if not _varies(c.parameter.name, model.effects)][:MOST_MEMBERS]
     explained = Explained(case, detection, model, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
     detectability = detectability_report(*beginning)
-    source = SourceEntry.of(recording)
+    source = SourceEntry.from_recording(recording)
     return _report(source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
-def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
+def _varies(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if an effect varies this constant of an instrument, which then has no single value."""
-    laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
-    drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
+    laws = (VARIED_CONSTANTS.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
+    drifts = (constants_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
     return any(constant in varied for varied in (*laws, *drifts, *parameters))
 
@@ -211,8 +211,8 @@ def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
     alone, sigma, adjusted = list(case.noise), case.sigma, case.space.adjustment
     case.prune_variance_components(case.searcher.search(threshold, something=True).effects)
     model, space = case.searcher.search(threshold, something=False), case.space
-    factor = (sigma / case.sigma)[space.use] ** 2
-    squares, share = (rows[: len(factor)] for rows in (space.residual**2, space.redundancy))
+    factor = (sigma / case.sigma)[space.used_readings] ** 2
+    squares, share = (rows[: len(factor)] for rows in (space.residuals**2, space.redundancy))
     if model.members and model.score - restricted(squares, share, factor).sum() > threshold:
         return model
     case.noise, case.sigma = alone, sigma
@@ -303,7 +303,7 @@ def _report(
     certain: Sequence[Finding],
     settled: Adjustment,
     errors: HeldOut,
-    selection: Selection | None,
+    selection: CauseSelection | None,
     *,
     mismatch: bool,
 ) -> Diagnosis:
@@ -343,7 +343,7 @@ def _report(
         undetectable=undetectable,
         detectable=tuple(map(DetectableEntry.of, detectable)),
         instruments=instrument_entries(settled),
-        tests=() if selection is None else outcomes(selection),
+        tests=() if selection is None else cause_tests(selection),
     )
 
 
@@ -367,7 +367,7 @@ def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut
     case, nominal = explained.case, explained.case.recording.sigma()
     space, seed = case.searcher.space, case.seed
     if (case.sigma < nominal).any():
-        space = ResidualSpace.of(case.refit((), np.maximum(case.sigma, nominal)).adjustment)
+        space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.sigma, nominal)).adjustment)
     if not explained.model.members:
         before = held_out_errors(space, seed).before
         return HeldOut(before, before)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
@@ -30,8 +30,8 @@ from ltsim.diagnosis.schema import (
     InstrumentEntry,
     Undetectable,
 )
-from ltsim.geometry.polar import wrap
-from ltsim.physics.laws.law import Law
+from ltsim.geometry.polar import wrap_angle
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.result_file import ResultFile
@@ -74,7 +74,7 @@ class Diagnosis(ResultFile):
     """Global test of the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the readings."""
-    tests: tuple[Test, ...] = ()
+    tests: tuple[CauseTest, ...] = ()
     """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: BeforeAfter | None = None
     """Misfit without and with the findings."""
@@ -141,7 +141,7 @@ class Diagnosis(ResultFile):
     def _coordinates(self) -> Table:
         """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
         sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
-        change = self.targets.points - self.baseline.state.points
+        change = self.targets.points - self.baseline.state.target_points
         rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
         named = zip(self.adjusted.recording.targets, rows, strict=True)
         return TARGETS.filled([name, *row] for name, row in named)
@@ -173,10 +173,10 @@ class Diagnosis(ResultFile):
         """
         adjusted, state = self.adjusted, self.adjusted.state
         model = adjusted.problem.model
-        change = model.effects_shift(model.sightings(state), state.extra) + self.arrays.averaging_change
-        change = np.where(adjusted.rejected, change + adjusted.residuals, change)
+        change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
+        change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
-        corrected[:, 1:] = wrap(corrected[:, 1:])
+        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
         return np.nan_to_num(change + corrected)
 
     def modelled_length_change(self, recording: Recording) -> Floats:
@@ -185,14 +185,20 @@ class Diagnosis(ResultFile):
         A length that the diagnosis rejects changes by its difference from the adjusted distance.
         """
         problem, state = self.adjusted.problem, self.adjusted.state
-        none = replace(state, extra=np.zeros_like(state.extra))
+        none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
         shifts = problem.length_residuals(none) - problem.length_residuals(state)
-        gauge = problem.gauge
-        used = dict(zip(zip(gauge.first.tolist(), gauge.second.tolist(), strict=True), shifts.tolist(), strict=True))
-        lengths = ReferenceLengths.of(recording)
-        arm = state.points[lengths.second] - state.points[lengths.first]
-        differences = lengths.length - np.sqrt((arm**2).sum(axis=1))
-        ends = zip(lengths.first.tolist(), lengths.second.tolist(), strict=True)
+        gauge = problem.gauge_rows
+        used = dict(
+            zip(
+                zip(gauge.first_targets.tolist(), gauge.second_targets.tolist(), strict=True),
+                shifts.tolist(),
+                strict=True,
+            )
+        )
+        lengths = ReferenceLengths.from_recording(recording)
+        arm = state.target_points[lengths.second_targets] - state.target_points[lengths.first_targets]
+        differences = lengths.lengths - np.sqrt((arm**2).sum(axis=1))
+        ends = zip(lengths.first_targets.tolist(), lengths.second_targets.tolist(), strict=True)
         return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
 
     def variance_factors(self, recording: Recording) -> Floats:
@@ -206,5 +212,5 @@ class Diagnosis(ResultFile):
         The ratio of w components of a law counts as w - 1.
         """
         model = self.adjusted.problem.model
-        ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, Law) and e.direction)
-        return model.effects_size + ratios or sum(len(finding.parameters) for finding in self.findings)
+        ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)
+        return model.n_effect_parameters + ratios or sum(len(finding.parameters) for finding in self.findings)

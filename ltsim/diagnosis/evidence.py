@@ -20,9 +20,16 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_evidence, log_sum_exp
+from ltsim.calibration.evidence import (
+    EVIDENCE_SIZES,
+    LOG_SIZE_PRIOR,
+    log_evidence,
+    log_evidence_by_size,
+    log_sum_exp,
+    size_weights_and_constants,
+)
 from ltsim.core.arrays import Bools, Floats, Ints, Singles
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
 TIE, SCREENED_TIE = 1e-6, 1e-4
@@ -73,7 +80,7 @@ def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) ->
     """Log evidence with priors, (h, sizes, trials), in batches of hypotheses."""
     step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
     for i in range(0, len(scores), step):
-        weights, constants = forms_of(strength[i : i + step])
+        weights, constants = size_weights_and_constants(strength[i : i + step])
         constants += log_prior[i : i + step, None]
         logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
         logs += constants[..., None].astype(np.float32)
@@ -120,12 +127,12 @@ def evidence_with(gram: Floats, score: Floats, spread: Floats) -> Floats:
 
 
 def posterior(
-    gram: Floats, score: Floats, spread: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS
+    gram: Floats, score: Floats, spread: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats, float]:
     """Mean (k,), covariance (k, k) and log evidence of coefficients with prior N(0, t^2 spread^2), averaged over t."""
     strength, turn = _along_eigenvectors(gram, spread)
     z = turn.T @ score
-    logs = by_size(z**2, forms_of(strength, sizes, log_weights))
+    logs = log_evidence_by_size(z**2, size_weights_and_constants(strength, sizes, log_weights))
     weight = shares(logs)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * strength)
     means = variances * z
@@ -157,14 +164,14 @@ def sign_weight(mean: float, sigma: float) -> float:
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
 
 
-def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
+def evidence_of(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
-    spread = effect.spread
-    if not any(p.positive for p in effect.parameters):
+    spread = effect.size_scales
+    if not any(p.is_positive for p in effect.parameters):
         return float(evidence_with(gram, score, spread))
     mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
+        total += sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
     return total
 
 
@@ -228,7 +235,7 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     residual, redundancy : (m,) float
         Whitened residuals with the hypothesis modelled, and their redundancy numbers.
     """
-    kind = np.nonzero(space.use)[1]
+    kind = np.nonzero(space.used_readings)[1]
     rows = np.flatnonzero(shift[: len(kind)])
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
     count = np.maximum(np.bincount(kind, minlength=3), 1)

@@ -14,11 +14,11 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.responses import RESPONSES
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 
-T = TypeVar("T", bound=Tunable)
+T = TypeVar("T", bound=CandidateEffect)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 MOST_STEPS = 12
 """Largest number of steps of the local search."""
@@ -38,12 +38,12 @@ class EvidenceCalculator:
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
-        self._pointing = np.nonzero(space.use)[0]
-        self._grams: dict[Tunable, Floats] = {}
+        self._pointing = np.nonzero(space.used_readings)[0]
+        self._grams: dict[CandidateEffect, Floats] = {}
         self._carried: dict[str, Floats] = {}
         self._rows: dict[Place, Rows] = {}
 
-    def moments(self, effects: Sequence[Tunable], base: Model) -> list[tuple[Floats, Floats]]:
+    def moments(self, effects: Sequence[CandidateEffect], base: Model) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
@@ -56,18 +56,18 @@ class EvidenceCalculator:
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
         return [moments[i] for i in range(len(effects))]
 
-    def evidence(self, effects: Sequence[Tunable], base: Model) -> Floats:
+    def evidence(self, effects: Sequence[CandidateEffect], base: Model) -> Floats:
         """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.moments(effects, base)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
-            if any(p.positive for p in effect.parameters):
+            if any(p.is_positive for p in effect.parameters):
                 values[i] = evidence_of(effect, gram, score)
             else:
                 by_size.setdefault(len(score), []).append(i)
         for members in by_size.values():
-            spreads = np.stack([effects[i].spread for i in members])
+            spreads = np.stack([effects[i].size_scales for i in members])
             grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
             values[members] = evidence_with(grams, scores, spreads)
         return values
@@ -77,7 +77,7 @@ class EvidenceCalculator:
         best, values = list(effects), self.evidence(effects, base)
         means, moving = values.copy(), list(range(len(best)))
         for _ in range(MOST_STEPS):
-            candidates = {i: neighbours for i in moving if (neighbours := best[i].finer(self.space.sightings))}
+            candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
             means[moving] = values[moving]
             if not candidates:
                 break
@@ -92,14 +92,14 @@ class EvidenceCalculator:
                     moving.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
-    def signature(self, effect: Tunable) -> Floats:
+    def signature(self, effect: CandidateEffect) -> Floats:
         """Whitened signature (m, k) of an effect."""
         rows = self._rows_of(effect)
-        whole = np.zeros((self.space.size, len(effect.parameters)))
+        whole = np.zeros((self.space.n_rows, len(effect.parameters)))
         whole[rows.place] = self._signatures([effect], rows)[0]
         return whole
 
-    def _batches(self, effects: Sequence[Tunable]) -> Iterator[tuple[Rows, list[int]]]:
+    def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[Rows, list[int]]]:
         """Batches of effects that act on the same rows, as large as memory permits."""
         by_rows: dict[int, tuple[Rows, list[int]]] = {}
         for i, effect in enumerate(effects):
@@ -110,29 +110,29 @@ class EvidenceCalculator:
             parts = np.split(members, np.flatnonzero(np.diff(ends // AT_ONCE)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
 
-    def _rows_of(self, effect: Tunable) -> Rows:
+    def _rows_of(self, effect: CandidateEffect) -> Rows:
         """Rows on which a law acts; all rows for other effects."""
-        place = (effect.stations, effect.targets) if isinstance(effect, Law) else (("",), ("",))
+        place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
-            if not isinstance(effect, Law):
+            if not isinstance(effect, EmpiricalLaw):
                 self._rows[place] = Rows(slice(None), self._pointing)
             elif place == ((), ()):
                 self._rows[place] = Rows(slice(len(self._pointing)), self._pointing)
             else:
-                acting = np.flatnonzero(effect.mask(self.space.sightings)[self._pointing])
+                acting = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
                 self._rows[place] = Rows(acting, self._pointing[acting])
         return self._rows[place]
 
-    def _signatures(self, effects: Sequence[Tunable], rows: Rows) -> tuple[Floats, Ints]:
+    def _signatures(self, effects: Sequence[CandidateEffect], rows: Rows) -> tuple[Floats, Ints]:
         """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
-        if not isinstance(effects[0], Law):
-            return np.hstack([self.space.signature(effect) for effect in effects]), edges
+        if not isinstance(effects[0], EmpiricalLaw):
+            return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
         signatures = np.empty((len(rows.pointing), edges[-1]))
         carried: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
-            assert isinstance(effect, Law)
-            name = effect.carrier.name
+            assert isinstance(effect, EmpiricalLaw)
+            name = effect.response.name
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
             moved = effect.along_direction(carried[name], self.space.sightings, rows.pointing)
@@ -144,10 +144,10 @@ class EvidenceCalculator:
     def _moved(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a response, computed once."""
         if name not in self._carried:
-            self._carried[name] = self.space.whiten(RESPONSES[name][1](self.space.sightings))
+            self._carried[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
         return self._carried[name]
 
-    def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
+    def _project(self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: Rows) -> None:
         """Computation of the Gram matrices of projected signatures of new effects, which are then cached."""
         new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
@@ -156,5 +156,5 @@ class EvidenceCalculator:
         if len(new) < len(effects):
             columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
         ends = np.append(0, np.cumsum(np.diff(edges)[new]))
-        grams = self.space.projection.grams(columns, ends, rows.place)
+        grams = self.space.projector.gram_matrices(columns, ends, rows.place)
         self._grams.update(zip((effects[i] for i in new), grams, strict=True))

@@ -2,23 +2,23 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.joint import COVARIANCE, covariance_csv
+from ltsim.adjustment.joint import COVARIANCE_FILE, covariance_csv
 from ltsim.adjustment.unmodelled import joint_air_covariance
-from ltsim.calibration.schema import RESIDUALS
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS
-from ltsim.recordings.native import OBSERVATIONS, SETUP, recording_texts
+from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
 RECORDING = "recording"
 COMPANIONS = (
     TARGETS.file,
-    COVARIANCE,
-    RESIDUALS.file,
+    COVARIANCE_FILE,
+    RESIDUALS_TABLE.file,
     BEFORE.file,
-    f"{RECORDING}/{OBSERVATIONS}",
-    f"{RECORDING}/{SETUP}",
+    f"{RECORDING}/{OBSERVATIONS_FILE}",
+    f"{RECORDING}/{SETUP_FILE}",
 )
 
 
@@ -36,12 +36,12 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     """
     texts = {
         TARGETS.file: diagnosis.table("targets").csv(),
-        RESIDUALS.file: diagnosis.table("residuals").csv(),
+        RESIDUALS_TABLE.file: diagnosis.table("residuals").csv(),
         BEFORE.file: diagnosis.table("residuals_before").csv(),
     }
     added = joint_air_covariance(diagnosis.adjusted)
-    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread, added=added)
-    texts |= {} if covariance is None else {COVARIANCE: covariance}
+    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread, added_covariance=added)
+    texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)
         texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}

@@ -9,9 +9,9 @@ import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.significance import NOT_EXCLUDED
+from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import distortion, separating_measurement
 from ltsim.diagnosis.evidence import active_observables, log_bayes_factor_discrepancy, posterior
@@ -25,12 +25,12 @@ from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, catalogue_sentence, law_sentence, outside_sentence, without_clock
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
-from ltsim.physics.effects.signature import Tunable, constants_of
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.places import trackers_of
-from ltsim.physics.laws.regressors import words_of
+from ltsim.physics.effects.signature import CandidateEffect, n_constants
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.places import instrument_places
+from ltsim.physics.laws.regressors import covariate_file_names
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import describe, law_suffix, region_words, value_of
+from ltsim.physics.laws.words import covariate_value_text, law_suffix, region_text, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -69,7 +69,7 @@ class Explained:
         effect, spread = self.refit.effects[member], model.members[member].spread
         mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.signature(effect) @ mean
+        shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
@@ -121,13 +121,15 @@ class Explained:
         """
         effect, gain = self.refit.effects[member], self.gains[member]
         sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
-        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
-        sized = isinstance(effect, Law) or together or any(abs(size.value) > SURE * size.sigma for size in sizes)
+        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * n_constants(effect)
+        sized = (
+            isinstance(effect, EmpiricalLaw) or together or any(abs(size.value) > SURE * size.sigma for size in sizes)
+        )
         p_located = self.p_located[member]
-        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or p_located >= LIKELY
+        says = self._where(effect) != Where(covariates=covariate_file_names(effect.covariates)) or p_located >= LIKELY
         # effective number of readings that carry the gain (participation ratio)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return max(self.probability(member), p_located) if sized and says and carried >= constants_of(effect) else 0.0
+        return max(self.probability(member), p_located) if sized and says and carried >= n_constants(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """Finding of a member, a mean shift, given the others."""
@@ -139,17 +141,17 @@ class Explained:
         p_located = self.p_located[member]
         gain = self.gains[member]
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        signature, rows = space.signature(effect), int(space.use.sum())
+        signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
         done = signature @ mean
         projected = searcher.with_members([hypothesis]).projected[0] @ mean
-        where = self._where(effect, active_observables(space.use, done[:rows], projected[:rows]))
+        where = self._where(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
         estimates = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
-        if isinstance(effect, Law):
+        if isinstance(effect, EmpiricalLaw):
             more = {
-                "carrier": effect.carrier.name,
-                "driver": describe(effect.driver, clock=self.case.recording.has_clock),
+                "carrier": effect.response.name,
+                "driver": regressor_text(effect.regressor, clock=self.case.recording.has_clock),
             }
             more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
             law = law_words(effect, more["driver"])
@@ -164,9 +166,9 @@ class Explained:
             sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
         more["moves_targets_um"] = moved = distortion(space, done)
         touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
-        felt = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
+        felt = number_text(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {felt} sigma (rms)"
-        sentence += f" and shifts the targets by {number(moved, 2)} um (rms).{self._readings(gain)}"
+        sentence += f" and shifts the targets by {number_text(moved, 2)} um (rms).{self._readings(gain)}"
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
@@ -186,7 +188,7 @@ class Explained:
 
     def _readings(self, gain: Floats) -> str:
         """Sentence on the readings with most of a gain (m,), if they are few."""
-        use, recording = self.case.searcher.space.use, self.case.recording
+        use, recording = self.case.searcher.space.used_readings, self.case.recording
         reading_gain = gain[: int(use.sum())]
         worst = np.argsort(-reading_gain)
         count = int(np.searchsorted(np.cumsum(reading_gain[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
@@ -210,46 +212,46 @@ class Explained:
         """
         effect = self.model.members[member].effect
 
-        def located(candidate: Tunable) -> Where:
+        def located(candidate: CandidateEffect) -> Where:
             where = self._where(candidate)
-            if where.targets and not isinstance(effect, Law):
+            if where.targets and not isinstance(effect, EmpiricalLaw):
                 return Where(targets=where.targets)
             return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = located(effect)
         return self.rankings[member].share(lambda h: located(h.effect) == scope)
 
-    def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+    def _where(self, effect: CandidateEffect, carried: tuple[str, ...] = ()) -> Where:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
         where = where_of(effect, carried)
-        for tracker in trackers_of(self.case.searcher.space.sightings, self.case.recording.instruments):
+        for tracker in instrument_places(self.case.searcher.space.sightings, self.case.recording.instruments):
             if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return where
 
-    def _doubt(self, effect: Tunable, estimates: Sequence[Estimate]) -> str:
+    def _doubt(self, effect: CandidateEffect, estimates: Sequence[Estimate]) -> str:
         """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
         recording = self.case.recording
         if isinstance(effect, BASELINE_KINDS):
             name = recording.instruments[self._instrument(effect)]
             prior = recording.setup.instrument_named(name).prior
-            declared = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
-            sigmas = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in declared)
+            declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
+            sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _implausible(effect, estimates) else ""
 
-    def _constants(self, effect: Tunable) -> tuple[Estimate, ...]:
+    def _constants(self, effect: CandidateEffect) -> tuple[Estimate, ...]:
         """Constants of an instrument from the readings without their own prior, with the priors of the others."""
         adjustment, which = self.case.baseline, self._instrument(effect)
         prior = prior_sigmas(self.case.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
         wider = 1.0 / np.maximum(1.0 - variance / prior**2, TINY)
-        value, sigma = adjustment.state.instrument[which] * wider, np.sqrt(variance * wider)
-        at = (adjustment.construction.names.index(p.name) for p in effect.parameters)
+        value, sigma = adjustment.state.instrument_parameters[which] * wider, np.sqrt(variance * wider)
+        at = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
         return tuple(Estimate.of(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True))
 
-    def _instrument(self, effect: Tunable) -> int:
+    def _instrument(self, effect: CandidateEffect) -> int:
         """Index of the instrument whose set-ups an effect is confined to."""
         recording = self.case.recording
         at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
@@ -274,24 +276,24 @@ def noise_finding(
     rows = [Estimate.of(*names) for names in every if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
-        more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
+        more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
-        if effect.each:
+        if effect.group_kind:
             rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES]
             sure = [e for e in rows if e.value > SURE * e.sigma] or rows
-            worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
+            worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
-        if effect.band:
-            ends = [value_of(effect.covariates[0], value, clock=clock) for value in effect.band]
+        if effect.covariate_band:
+            ends = [covariate_value_text(effect.covariates[0], value, clock=clock) for value in effect.covariate_band]
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
-            most += f", {region_words(effect.region)}"
+            most += f", {region_text(effect.region)}"
             rows += [
                 Estimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
-                for axis, value in zip(effect.region.axes, effect.region.centre, strict=True)
+                for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
-        sentence = outside_sentence(where, effect.law + most)
+        sentence = outside_sentence(where, effect.text + most)
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
@@ -311,7 +313,7 @@ def noise_finding(
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Observables whose noise differs significantly from the declared one, in the direction of the largest size."""
-    sizes = hypothesis.effect.spread
+    sizes = hypothesis.effect.size_scales
     sizes_in_units = np.array(hypothesis.values) / sizes
     sure = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
@@ -326,33 +328,35 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
-    others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
+    others = [
+        Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
+    ]
     return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 
-def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+def where_of(effect: CandidateEffect, carried: tuple[str, ...] = ()) -> Where:
     """Scope of an effect; `carried` are the observables if the effect itself does not specify them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = carried or observables
-    instruments = effect.instruments if isinstance(effect, Law | VarianceFunction) else ()
-    if isinstance(effect, Law):
-        stations = () if effect.each else stations
-        observables = effect.carrier.observables or carried or observables
+    instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
+    if isinstance(effect, EmpiricalLaw):
+        stations = () if effect.is_per_setup else stations
+        observables = effect.response.observables or carried or observables
     return place_of(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,
         targets=effect.targets,
         instruments=instruments,
-        covariates=words_of(effect.covariates),
+        covariates=covariate_file_names(effect.covariates),
     )
 
 
-def law_words(law: Law, driver: str) -> str:
+def law_words(law: EmpiricalLaw, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
-    what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
+    what = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
-    return f"{what} differs{suffix}" if law.driver.kind == "constant" else f"{what} follows {driver}{suffix}"
+    return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 
 def place_of(**confined: tuple[str, ...]) -> Where:
@@ -365,9 +369,9 @@ def _without_empty(more: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in more.items() if value}
 
 
-def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
+def _implausible(effect: CandidateEffect, estimates: Sequence[Estimate]) -> bool:
     """True if a size is far beyond a plausible one, or negative for a positive parameter."""
-    sizes = zip(effect.parameters, effect.spread.tolist(), strict=True)
+    sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
     matched = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
-    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.factor for e, p, size in matched)
-    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matched)
+    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.si_per_display_unit for e, p, size in matched)
+    return large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matched)

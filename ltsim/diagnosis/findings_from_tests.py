@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ltsim.adjustment.blunders import GrossFinding
-from ltsim.adjustment.identification import Test
+from ltsim.adjustment.blunders import IdentifiedBlunder
+from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
@@ -20,7 +20,7 @@ DECLARED = "declared coordinates"
 """Name of the erroneous item if a point defines the axes."""
 
 
-def gross_finding(gross: GrossFinding) -> Finding:
+def gross_finding(gross: IdentifiedBlunder) -> Finding:
     """Finding of a gross error whose size the network determines."""
     return Finding(
         effect=gross.effect,
@@ -38,7 +38,7 @@ def axis_finding(test: ReferenceTest) -> Finding:
     """Finding of a point whose declared coordinates contradict the axes of the other points."""
     rows = [
         Estimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
-        for axis, e, s in zip(test.axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
+        for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
         if np.isfinite(s)
     ]
     return Finding(
@@ -107,7 +107,7 @@ EFFECTS = {
 """Catalogue effect of a cause, by its kind and the observable on which it acts; `outlier` and `unknown` for others."""
 
 
-def finding_of(test: Test) -> Finding:
+def finding_of(test: CauseTest) -> Finding:
     """Finding of an accepted test."""
     name = "outlier" if test.kind == "outlier" else EFFECTS.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()

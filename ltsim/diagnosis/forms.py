@@ -27,12 +27,12 @@ from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import Curve
 from ltsim.diagnosis.switches import EARLY_STOP, number_of_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.regressors import CONSTANT, PLACE, Regressor
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.names import catalogue_name
+from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
 from ltsim.scene.sightings import Sightings
 
-TILT = Regressor("field", PLACE, constant=1.0)
+TILT = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group that moves and tilts as one."""
 ABSORBED_ELSEWHERE = 0.5
 """Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
@@ -43,23 +43,27 @@ MOST_PIECES = 10
 
 
 def evaluate_forms(
-    exact: EvidenceCalculator, law: Law, log_prior: float, base: Model, *, pieces: bool
+    exact: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base: Model, *, pieces: bool
 ) -> list[Hypothesis]:
     """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
     sightings = exact.space.sightings
-    law = law.as_constant(sightings)
-    whole = log_prior + float(np.log(len(law.driver.spreads)))
+    law = law.equivalent_index_law(sightings)
+    whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
-    always, share = law.at_all_times(), float(np.log(P_SWITCHED * number_of_waves(law, sightings)))
+    always, share = law.without_switch(), float(np.log(P_SWITCHED * number_of_waves(law, sightings)))
     switched = switched_forms(exact, always, whole + share, base) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
-    each = law.at_each(sightings)
+    each = law.per_setup(sightings)
     tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
     tried += _forms(exact, always, whole, base) if always != law else []
-    factors = [h for h in tried if isinstance(h.effect, Law) and may_have_a_second_factor(h.effect)] if pieces else []
+    factors = (
+        [h for h in tried if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
+        if pieces
+        else []
+    )
     tried += product_forms(exact, factors[_best(factors)], base) if factors else []
     tried = [form for hypothesis in tried for form in _with_ratio(exact, hypothesis, base)]
     top = tried.pop(_best(tried))
@@ -77,9 +81,9 @@ def _best(forms: Sequence[Hypothesis]) -> int:
     return best_of(np.array([form.value for form in forms]))
 
 
-def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+def _forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
     """Functional forms of a law at its place."""
-    forms = law.forms(exact.space.sightings)
+    forms = law.candidate_forms(exact.space.sightings)
     whole = sum(FORMS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
     asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
@@ -88,21 +92,21 @@ def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> li
     candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
     moments = exact.moments([scales[0] for _, scales in several], base)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
-        spreads = np.stack([scaled.spread for scaled in scales])
+        spreads = np.stack([scaled.size_scales for scaled in scales])
         logs = evidence_with(gram, score[None], spreads)
         candidates.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in candidates]
+    return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
 def _with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
     """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
     law = form.effect
-    assert isinstance(law, Law)
-    if law.components == 1 or law.driver.size == 1 or law.direction:
+    assert isinstance(law, EmpiricalLaw)
+    if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
     gram, score = exact.moments([law], base)[0]
-    ratio, evidence, log_share = best_direction(gram, score, law.spread, law.components)
-    gain = evidence - float(evidence_with(gram, score, law.spread))
+    ratio, evidence, log_share = best_direction(gram, score, law.size_scales, law.components)
+    gain = evidence - float(evidence_with(gram, score, law.size_scales))
     share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
     return [
         replace(form, log_prior=form.log_prior + other, value=form.value + other),
@@ -118,22 +122,26 @@ def _with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> lis
 def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
     """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
     law, stations = form.effect, exact.space.sightings.station_names
-    assert isinstance(law, Law)
+    assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
         return [form]
-    drivers = [law.driver, CONSTANT, TILT] if law.targets and law.carrier.kind == "target" else [law.driver]
+    drivers = (
+        [law.regressor, CONSTANT_REGRESSOR, TILT] if law.targets and law.response.kind == "target" else [law.regressor]
+    )
     drivers = [d for d in dict.fromkeys(drivers) if all(f.covariates != ("station",) for f in (d, *d.factors))]
     laws = [
-        replace(law, stations=(name,), driver=driver.centred_on(law.targets), scale=0, direction=())
+        replace(law, stations=(name,), regressor=driver.centred_on(law.targets), scale_index=0, direction=())
         for driver in drivers
         for name in stations
     ]
-    mask = [law.mask(exact.space.sightings).sum() for law in laws]
+    mask = [law.row_weights(exact.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_READINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP.get(law.carrier.kind, P_SINGLE_SET_UP_OTHERS)
+    share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = exact.evidence(laws, base)
-    made = [Hypothesis(x, prior, float(value) + prior, name_of(x)) for x, value in zip(laws, values, strict=True)]
+    made = [
+        Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
+    ]
     confined = [other for hypothesis in made for other in _with_ratio(exact, hypothesis, base)]
     evidence = form.value - form.log_prior
     equal = [h for h in confined if abs(h.value - h.log_prior - evidence) < ABSORBED_ELSEWHERE]
@@ -141,15 +149,15 @@ def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list
     return same[:1] or [form, *confined]
 
 
-def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+def _in_pieces(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
     """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
-    atoms = law.atoms(exact.space.sightings)
+    atoms = law.candidate_pieces(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
-    whole = law.in_pieces(atoms)
+    whole = law.with_pieces(atoms)
     gram, score = exact.moments([whole], base)[0]
-    spread = whole.spread
-    places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
+    spread = whole.size_scales
+    places = np.arange(len(score)).reshape(len(whole.response.component_names), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
     while len(chosen) < min(taken + EARLY_STOP, MOST_PIECES, len(atoms)):
@@ -161,35 +169,35 @@ def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -
         value = float(log_sum_exp(values)) - len(chosen) * price
         if value > best + TIE:
             best, taken = value, len(chosen)
-    refined, value = exact.refine_locally([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
+    refined, value = exact.refine_locally([law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
+    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
 """Number of points of a reported curve, of each cycle of a wave, and largest number of points."""
 
 
-def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
+def curve_of(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
     """Curve at the set-up and in the direction of the largest response; None with several covariates.
 
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """
-    driver = law.driver
+    driver = law.regressor
     if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.along(mean, covariance, sightings)
+    law, way, means, spread = law.at_largest_effect(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
+    x = sightings.quantities[driver.covariates[0]][law.row_weights(sightings) > 0]
     if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = fourier_columns(driver.constant * at, driver.size // 2)
+        columns = fourier_columns(driver.constant * at, driver.n_columns // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
-        at, columns = x[chosen], law.columns(sightings)[law.mask(sightings) > 0][chosen]
-    unit, factor = law.carrier.display(int(np.argmax(np.abs(way))))
+        at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
+    unit, factor = law.response.display_unit_of(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
     return Curve(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import UNCHECKED
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.evidence import wide_posterior
@@ -53,12 +53,12 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
     """
     before, after, count = 0.0, 0.0, 0
     groups = folds(space, seed)
-    for rows, (values, vectors) in zip(groups, space.projection.spectra(groups), strict=True):
-        before += _square(space.residual[rows], values, vectors)
-        count += len(rows) - int(np.sum(values >= 1.0 - UNCHECKED))
+    for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
+        before += _square(space.residuals[rows], values, vectors)
+        count += len(rows) - int(np.sum(values >= 1.0 - MIN_NUMERICAL_REDUNDANCY))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
-            remaining = space.residual - space.project(_shift(space, fold_search, threshold))
+            remaining = space.residuals - space.project(_shift(space, fold_search, threshold))
             after += _square(remaining[rows], values, vectors)
     if not count:
         return HeldOut()
@@ -67,8 +67,8 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
 
 def folds(space: ResidualSpace, seed: int) -> list[Ints]:
     """Rows of the used readings of each fold of complete pointings, drawn at random."""
-    pointing = np.nonzero(space.use)[0]
-    dealt = stream(seed, "diagnose", "folds").permutation(len(space.use)) % FOLDS
+    pointing = np.nonzero(space.used_readings)[0]
+    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % FOLDS
     groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(FOLDS))
     return [rows for rows in groups if len(rows)]
 
@@ -79,7 +79,7 @@ def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
     The complement of the eigenvectors has redundancy one.
     """
     along = (vectors.T @ residual) ** 2
-    predicted = values < 1.0 - UNCHECKED
+    predicted = values < 1.0 - MIN_NUMERICAL_REDUNDANCY
     return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))
 
 
@@ -87,7 +87,7 @@ def _shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats
     """Shift (m,) of all whitened readings by the model that a search selects."""
     model = searcher.search(threshold, something=True)
     if not model.members:
-        return np.zeros(space.size)
+        return np.zeros(space.n_rows)
     mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
-    signatures: Sequence[Floats] = [space.signature(effect) for effect in model.effects]
+    signatures: Sequence[Floats] = [space.whitened_signature(effect) for effect in model.effects]
     return np.hstack(signatures) @ mean

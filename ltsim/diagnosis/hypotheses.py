@@ -9,14 +9,14 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.adjustment.residual_space import orthonormal
-from ltsim.adjustment.significance import UNCHECKED
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
+from ltsim.adjustment.residual_space import orthonormal_columns
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import best_of
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.signature import CandidateEffect
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Hypothesis:
         Id of the catalogue effect, or `unknown`.
     """
 
-    effect: Tunable
+    effect: CandidateEffect
     log_prior: float
     value: float
     name: str
@@ -41,7 +41,7 @@ class Hypothesis:
     @property
     def spread(self) -> Floats:
         """Plausible sizes (k,) of its coefficients [SI]."""
-        return self.effect.spread
+        return self.effect.size_scales
 
     @property
     def is_catalogued(self) -> bool:
@@ -75,7 +75,7 @@ class Model:
     baseline_residual: Floats = field(repr=False)
 
     @property
-    def effects(self) -> list[Tunable]:
+    def effects(self) -> list[CandidateEffect]:
         """Effects of the members."""
         return [h.effect for h in self.members]
 
@@ -84,7 +84,7 @@ class Model:
         """Orthonormal basis (m, e) of the projected signatures."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
-        return orthonormal(np.hstack(self.projected), np.concatenate(self.norms))
+        return orthonormal_columns(np.hstack(self.projected), np.concatenate(self.norms))
 
     @cached_property
     def residual(self) -> Floats:
@@ -107,7 +107,7 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.products
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        visible = strength > UNCHECKED
+        visible = strength > MIN_NUMERICAL_REDUNDANCY
         return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
 
     @cached_property
@@ -213,18 +213,18 @@ def _over_sizes(model: Model) -> float:
 
     def evidence(sizes: Ints) -> Floats:
         """Log evidence with prior (b,) at sizes (b, members)."""
-        scale = np.pad(SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
+        scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
-        value: Floats = fit - size + LOG_WEIGHTS[sizes].sum(axis=1)
+        value: Floats = fit - size + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
-    best, every = np.full(count, int(np.flatnonzero(SIZES == 1.0)[0])), np.arange(len(SIZES))
+    best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))
     near = [every] * count
     for _ in range(2 if count > 1 else 0):
         for i in range(count):
-            tried = np.tile(best, (len(SIZES), 1))
+            tried = np.tile(best, (len(EVIDENCE_SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
             best[i] = best_of(values)
@@ -242,4 +242,4 @@ def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> f
     """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
     if hypothesis.name not in {h.name for h in others}:
         return 0.0
-    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).plural else LOG_ODDS_REPEATED
+    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

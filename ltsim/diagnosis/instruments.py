@@ -10,16 +10,16 @@ from scipy import linalg
 from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import CORRECTED_SHARE, ParameterPrior, prior_sigmas
-from ltsim.adjustment.significance import NOT_EXCLUDED
+from ltsim.adjustment.prior import CORRECTED_SIGMA_FRACTION, ParameterPrior, prior_sigmas
+from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import (
-    by_plausible_sizes,
-    determined,
+    determined_combinations,
     forward_select,
     likelihood_information,
     log_evidence,
     log_sum_exp,
     score_test,
+    with_plausible_priors,
 )
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
@@ -31,7 +31,7 @@ from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.physics.effects.effect import Parameter
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.design import unit_diagonal
+from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
@@ -52,13 +52,15 @@ def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
 
 def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
-    values = adjustment.state.instrument[instrument]
+    values = adjustment.state.instrument_parameters[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
         name=adjustment.recording.instruments[instrument],
         parameters=tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
-        determined=tuple(determined(parameters, *by_plausible_sizes(parameters, values, covariance, prior))),
+        determined=tuple(
+            determined_combinations(parameters, *with_plausible_priors(parameters, values, covariance, prior))
+        ),
     )
 
 
@@ -138,7 +140,7 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     is_compared = ~corrected & (np.sum(~corrected) > 1)
     common = np.where(np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
     common /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
-    separate = np.where(corrected, CORRECTED_SHARE**2, np.where(is_compared, 0.0, 1.0))
+    separate = np.where(corrected, CORRECTED_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
     blocks = common + (np.eye(len(unit)) * separate)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     ours = tuple(np.flatnonzero(corrected).tolist())
@@ -158,7 +160,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
     likelihood = likelihood_information(
-        adjustment.state.instrument.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
+        adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
     surprise, odds = (
         likelihood.information_vector - likelihood.information @ expected.mean,
@@ -188,7 +190,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     reported: list[int] = []
     for k in sorted((k for k in selected if selected[k][k] > least), key=lambda k: -selected[k][k]):
         square = every[np.ix_([*reported, k], [*reported, k])]
-        if np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
+        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
             reported.append(k)
     if not reported:
         return []
@@ -220,7 +222,7 @@ def _contradiction(
         rivals={
             parameters[changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
-            if share[i] > NOT_EXCLUDED
+            if share[i] > MIN_REPORTED_PROBABILITY
         },
     )
 
@@ -263,7 +265,7 @@ class HistoryExpectation:
                 "those of all of them"
             )
         nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
-        return cls(earlier, earlier.over(nominal, construction, names), nominal.sigma)
+        return cls(earlier, earlier.replace_nominal_prior(nominal, construction, names), nominal.sigma)
 
     def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
         """Constants that have changed, each with more than `least` log evidence, the most significant first."""
@@ -285,10 +287,13 @@ class HistoryExpectation:
         freedom less than their number, and the spreads of the other constants add `PRIOR_DOF` (Smyth, Statistical
         Applications in Genetics 3 (2004) 3). No spread exceeds the maker's guarantee.
         """
-        count = self.earlier.count
+        count = self.earlier.n_calibrations
         if count == 1:
             return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
-        spread = self.earlier.spread[[self.earlier.parameters.index(name) for name in names]] ** 2 / unit**2
+        spread = (
+            self.earlier.between_calibration_sigma[[self.earlier.parameters.index(name) for name in names]] ** 2
+            / unit**2
+        )
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
@@ -301,7 +306,10 @@ class HistoryExpectation:
 
     def _words(self, parameter: Parameter) -> str:
         """Name of the reference that a constant is compared with."""
-        if self.earlier.count == 1:
+        if self.earlier.n_calibrations == 1:
             return "its calibration"
-        spread = self.earlier.spread[self.earlier.parameters.index(parameter.name)] / parameter.factor
-        return f"its history ({self.earlier.count} calibrations, spread {spread:.2g} {parameter.unit})"
+        spread = (
+            self.earlier.between_calibration_sigma[self.earlier.parameters.index(parameter.name)]
+            / parameter.si_per_display_unit
+        )
+        return f"its history ({self.earlier.n_calibrations} calibrations, spread {spread:.2g} {parameter.unit})"

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
+from ltsim.calibration.evidence import log_evidence_by_size, log_sum_exp, size_weights_and_constants
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.physics.laws.places import Place
+from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
-from ltsim.physics.laws.responses import ResponseTerm
+from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
@@ -42,9 +42,9 @@ MOST_HITS = 6
 class ScreenedLaw:
     """Screened law with its log evidence including the prior."""
 
-    carrier: ResponseTerm
+    carrier: Response
     driver: Regressor
-    place: Place
+    place: LawPlace
     value: float
     log_prior: float
 
@@ -68,7 +68,7 @@ class RowPartition:
     members: sp.csr_array
 
     @classmethod
-    def of(cls, places: Sequence[Place], count: int) -> RowPartition:
+    def of(cls, places: Sequence[LawPlace], count: int) -> RowPartition:
         """Partition of `count` pointings by the places that they belong to."""
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
@@ -102,7 +102,7 @@ class RegressorColumns:
         self._drivers, self._sightings, self._order, self._moving = drivers, sightings, order, moving
         self._whole: Singles | None = None
         self.cached = False
-        self.entries = drivers[0].size * len(sightings)  # of one regressor
+        self.entries = drivers[0].n_columns * len(sightings)  # of one regressor
 
     def of(self, part: slice) -> Singles:
         """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
@@ -110,7 +110,7 @@ class RegressorColumns:
             return self._computed(self._drivers[part])
         if self._whole is None:
             self._whole = self._computed(self._drivers)
-        size = self._drivers[0].size
+        size = self._drivers[0].n_columns
         return self._whole[:, part.start * size : part.stop * size]
 
     def release(self) -> None:
@@ -119,10 +119,10 @@ class RegressorColumns:
             self._whole = None
 
     def _computed(self, drivers: Sequence[Regressor]) -> Singles:
-        size = drivers[0].size
+        size = drivers[0].n_columns
         columns = np.empty((len(self._sightings), len(drivers) * size), dtype=np.float32)
         for i, driver in enumerate(drivers):
-            made = driver.columns(self._sightings, moving=self._moving)
+            made = driver.columns(self._sightings, acts_on_targets=self._moving)
             columns[:, i * size : (i + 1) * size] = made[self._order]
         return columns
 
@@ -141,9 +141,9 @@ class LawBatch:
         Of each hypothesis and scale at a place.
     """
 
-    carriers: tuple[ResponseTerm, ...]
+    carriers: tuple[Response, ...]
     drivers: tuple[Regressor, ...]
-    places: tuple[Place, ...]
+    places: tuple[LawPlace, ...]
     cells: RowPartition
     weights: Singles
     columns: RegressorColumns
@@ -154,11 +154,13 @@ class LawBatch:
     def _spreads(self) -> list[Floats]:
         """Prior standard deviations (D, c k) for each scale."""
         ways = self.weights.shape[3]
-        return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
+        return [
+            np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.drivers), strict=True)
+        ]
 
     def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
-        count, size = len(self.drivers), self.drivers[0].size
+        count, size = len(self.drivers), self.drivers[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
         step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // self.columns.entries))
         parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
@@ -184,12 +186,12 @@ class LawBatch:
         null = np.full((1, probe.count), -np.inf)
         if probe.is_first_pass:
             turned = self._turned(probe.gram(scores, self._self_products(columns)), part)
-            self._forms[part.start] = [(forms_of(strength), turn) for strength, turn in turned]
+            self._forms[part.start] = [(size_weights_and_constants(strength), turn) for strength, turn in turned]
             if probe.count:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_sum_exp(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
+            log_sum_exp(log_evidence_by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
             for forms, turn in self._forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
@@ -206,7 +208,7 @@ class LawBatch:
     def _sums(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.drivers[0].size
+        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.drivers[0].n_columns
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
         for part, rows, cells in self.cells.parts(CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
@@ -220,7 +222,7 @@ class LawBatch:
     def _self_products(self, columns: Singles) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
         _, _, count, ways = self.weights.shape
-        k = self.drivers[0].size
+        k = self.drivers[0].n_columns
         d = columns.shape[1] // k
         sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):

@@ -38,8 +38,8 @@ from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.places import trackers_of
-from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
+from ltsim.physics.laws.places import instrument_places
+from ltsim.physics.laws.variance import REPEATS_PER_FACE, REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
@@ -85,7 +85,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
-    for family, pattern, sizes in variance_functions(sightings, trackers_of(sightings, instruments)):
+    for family, pattern, sizes in variance_functions(sightings, instrument_places(sightings, instruments)):
         hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return hypotheses
 
@@ -121,17 +121,17 @@ class NoiseBank:
 
         Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
         """
-        repeated = [repeat_means(space, faces) for faces in REPEATS]
+        repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeated))
-        sizes = space.size - int(space.use.sum()), *(m.shape[0] for m in repeated)
+        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeated)
         other = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
         factors = NoiseFactors.of(
-            _patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.use)[1], *other])
+            _patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.used_readings)[1], *other])
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
+        basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
         amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space), *NoiseWindows.of(space))
         return cls(list(hypotheses), names, family, factors, means, basis, amounts, space)
 
@@ -224,34 +224,34 @@ def _patterns(
 
     A variance function is linear in its size, an effect of the catalogue has a pattern for each of its sizes.
     """
-    used, variance = space.use, space.sigma**2
+    used, variance = space.used_readings, space.sigma**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):
         sizes = [h.values for h in same]
         linear = isinstance(effect, VarianceFunction)
         for values in [(1.0,)] if linear else sizes:
             added = (effect.variance(space.sightings, space.sigma, np.array(values)) / variance)[used] - 1.0
-            if faces := getattr(effect, "repeating", ""):
+            if faces := getattr(effect, "repetition", ""):
                 grown = (
                     _added_to_mean(m, added if kind == faces else np.zeros(0))
-                    for kind, m in zip(REPEATS, repeated, strict=True)
+                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
                 )
-                added = np.concatenate([np.zeros(space.size), *grown])
+                added = np.concatenate([np.zeros(space.n_rows), *grown])
             yield added, tuple(size for (size,) in sizes) if linear else (1.0,)
 
 
-def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
+def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
     """Matrix (g, m) that adds readings of one kind, target, station and optionally face.
 
     The sums are divided by the square root of their number of terms.
     """
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH_FACE))
-    key = (3 * pair[:, None] + np.arange(3))[space.use]
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
+    key = (3 * pair[:, None] + np.arange(3))[space.used_readings]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)
     places = np.flatnonzero(keep)
-    shape = (int(number.max(initial=-1)) + 1, space.size)
+    shape = (int(number.max(initial=-1)) + 1, space.n_rows)
     return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 
@@ -275,7 +275,7 @@ def reml_gain(
     Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
     (m,) are whitened by those of the space.
     """
-    faces, used, scale = getattr(effect, "repeating", ""), space.use, effect.spread
+    faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
     means = repeat_means(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else _share_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
@@ -322,11 +322,11 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     of a variance is skew. The posteriors are independent (`reml_gain`); a size without readings is 0 with an infinite
     standard deviation.
     """
-    effect, scale = hypothesis.effect, hypothesis.effect.spread
-    gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
-    if getattr(effect, "each", "") == "reading":
+    effect, scale = hypothesis.effect, hypothesis.effect.size_scales
+    gained = reml_gain(space, nominal, effect, space.residuals, space.redundancy)
+    if getattr(effect, "group_kind", "") == "reading":
         return _tail(hypothesis, gained)
-    least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
+    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
@@ -340,7 +340,7 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = gained(values) - gained(0.0 * scale)
-    if getattr(effect, "each", ""):  # most groups have none: weighted by the probability that there is one
+    if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
         values = values * expit(gain + np.log(NOISY_GROUP_SHARE.min() / (1.0 - NOISY_GROUP_SHARE.min())))
         gain = gained(values) - gained(0.0 * scale)
     drop = 2.0 * float(gain.sum())

@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import restricted
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.variance import VarianceFunction, owners_of
+from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
@@ -68,8 +68,8 @@ class Level(Amounts):
     @classmethod
     def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
         """Noise level of a space; below the declared one only if `quieter`."""
-        level, kind = NoiseLevel(), np.nonzero(space.use)[1]
-        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.size))
+        level, kind = NoiseLevel(), np.nonzero(space.used_readings)[1]
+        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
         return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -93,34 +93,38 @@ class NoiseByGroup(Amounts):
         """Hypotheses by target and by station, common to all observables and separate for each."""
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
-            names, of = owners_of(space.sightings, each)
+            names, of = noise_groups(space.sightings, each)
             if len(names) < MIN_GROUPS:
                 continue
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
-            rows = key[space.use]
-            shape = len(names) * (kinds if per_observable else 1), space.size
+            rows = key[space.used_readings]
+            shape = len(names) * (kinds if per_observable else 1), space.n_rows
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
-        if MIN_READINGS <= space.size <= MOST_READINGS:
+            banks.append(
+                cls(
+                    VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable), members, COARSE
+                )
+            )
+        if MIN_READINGS <= space.n_rows <= MOST_READINGS:
             banks += [cls._of_readings(space, acts) for acts in SCATTERING]
         return tuple(banks)
 
     @classmethod
     def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
         """Hypothesis of a heavy tail: a fraction of the readings of some observables has more noise than declared."""
-        pointing, kind = np.nonzero(space.use)
+        pointing, kind = np.nonzero(space.used_readings)
         column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
         rows = pointing[places] * len(acts) + column[places]
-        names, _ = owners_of(space.sightings, "reading")
-        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.size))
-        effect = VarianceFunction(acts, each="reading", owners=names, per_observable=True)
+        names, _ = noise_groups(space.sightings, "reading")
+        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.n_rows))
+        effect = VarianceFunction(acts, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, members, MUCH_WORSE)
 
     @property
     def name(self) -> str:
         """Name of the family."""
-        return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
+        return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence, averaged over the share of noisy groups."""

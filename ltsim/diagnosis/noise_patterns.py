@@ -7,11 +7,11 @@ from itertools import product
 import numpy as np
 
 from ltsim.diagnosis.noise_groups import SCATTERING
-from ltsim.physics.laws.places import Place, clusters
+from ltsim.physics.laws.places import LawPlace, target_clusters
 from ltsim.physics.laws.regressor_library import additional_columns
-from ltsim.physics.laws.variance import REPEATS, VarianceFunction, size_or_value
+from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.regions import regions_of
+from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
 EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
@@ -31,7 +31,7 @@ NOISY_REGIONS = ("xyz", "xy", "x", "y")
 
 
 def variance_functions(
-    sightings: Sightings, trackers: Sequence[Place]
+    sightings: Sightings, trackers: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
     """Variance functions outside the catalogue: family, function, sizes.
 
@@ -43,20 +43,24 @@ def variance_functions(
     for at, acts, name, falling in product(
         places, SCATTERING[:-1], [*regressors, *additional_columns(sightings)], (False, True)
     ):
-        pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
+        pattern = replace(at, observables=acts, covariates=(name,), decreases=falling)
         yield " and ".join(acts), pattern, GROWING
     if len(sightings) <= MAX_BANDED:
         for at, acts, (name, band) in product(places, SCATTERING, _bands(sightings)):
-            yield "band", replace(at, observables=acts, covariates=(name,), band=band), AT_TARGETS
+            yield "band", replace(at, observables=acts, covariates=(name,), covariate_band=band), AT_TARGETS
     names = sightings.target_names
-    groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
+    groups = (
+        [(t,) for t in range(len(names))] + sorted(target_clusters(sightings)) if len(names) <= MOST_TARGETS else []
+    )
     for acts in SCATTERING:
-        for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
-            yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
+        for faces in REPETITION_KINDS if acts == ("distance",) and np.ptp(sightings.face) else REPETITION_KINDS[:1]:
+            yield "repeating", VarianceFunction(acts, repetition=faces), EVERYWHERE
         for group in groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
-    for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
-        yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
+    for region, acts in product(
+        candidate_regions(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)
+    ):
+        yield "place", VarianceFunction(acts, covariates=tuple(region.bounded_axes), region=region), AT_TARGETS
 
 
 def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
@@ -64,14 +68,14 @@ def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     for name, width in product(("azimuth", "bearing"), SECTORS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
-            inside = VarianceFunction(covariates=(name,), band=band).inside(sightings)
+            inside = VarianceFunction(covariates=(name,), covariate_band=band).in_band(sightings)
             if MIN_SECTOR_SHARE <= inside.mean() <= 1.0 - MIN_SECTOR_SHARE:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += additional_columns(sightings)
     names += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     for name in names:
-        x = size_or_value(sightings, name)
+        x = noise_covariate(sightings, name)
         low, high = float(x.min()), float(x.max())
         for threshold in np.unique(np.quantile(x, THRESHOLDS)).tolist():
             if low < threshold < high:

@@ -17,10 +17,10 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import best_of, restricted
 from ltsim.diagnosis.noise_groups import MIN_READINGS, SCATTERING, Amounts
-from ltsim.physics.laws.places import clusters
+from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.regions import regions_of
+from ltsim.scene.regions import candidate_regions
 
 FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state that are averaged over."""
@@ -52,9 +52,9 @@ class NoiseWindows(Amounts):
     @classmethod
     def of(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
         """Hypothesis of a space; none for few readings, and without different times."""
-        time, (pointing, kind) = space.sightings.time, np.nonzero(space.use)
+        time, (pointing, kind) = space.sightings.time, np.nonzero(space.used_readings)
         distinct = np.unique(time)
-        if space.size < MIN_READINGS or len(distinct) < 2:
+        if space.n_rows < MIN_READINGS or len(distinct) < 2:
             return ()
         steps = min(len(distinct), MAX_STEPS)
         starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]
@@ -63,10 +63,16 @@ class NoiseWindows(Amounts):
         step = np.searchsorted(starts, time[pointing], side="right") - 1
         rows = step * len(OBSERVABLES) + kind
         members = sp.csr_array(
-            (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.size)
+            (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.n_rows)
         )
         return (
-            cls(VarianceFunction(covariates=("time",), band=(times[0], times[-1])), members, FACTORS, times, space),
+            cls(
+                VarianceFunction(covariates=("time",), covariate_band=(times[0], times[-1])),
+                members,
+                FACTORS,
+                times,
+                space,
+            ),
         )
 
     @property
@@ -106,7 +112,7 @@ class NoiseWindows(Amounts):
         ratios = self._ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
         best, states = _most_probable_states(ratios, self._changes[0])
         acts = SCATTERING[best // len(self.factors)]
-        return VarianceFunction(acts, covariates=("time",), band=self._windows(states))
+        return VarianceFunction(acts, covariates=("time",), covariate_band=self._windows(states))
 
     def confined(
         self, windows: VarianceFunction, residual: Floats, redundancy: Floats
@@ -116,27 +122,30 @@ class NoiseWindows(Amounts):
         The place is a group of targets, a set-up or a region of the hall; the windows are found again there.
         """
         s = self.space.sightings
-        places = [replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(clusters(s))]
+        places = [
+            replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
+        ]
         places += [replace(windows, stations=(name,)) for name in s.station_names if len(s.station_names) > 1]
         places += [
-            replace(windows, region=region, covariates=("time", *region.axes)) for region in regions_of(s, SHAPES)
+            replace(windows, region=region, covariates=("time", *region.bounded_axes))
+            for region in candidate_regions(s, SHAPES)
         ]
         if not places:
             return windows, -np.inf
         place = places[best_of(np.array([self._log_evidence(effect, residual, redundancy) for effect in places]))]
-        whole = replace(place, band=(self.times[0], self.times[-1]))
-        here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.use]
+        whole = replace(place, covariate_band=(self.times[0], self.times[-1]))
+        here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
         rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
         inside, share = (residual * rows)[:, None], redundancy * rows
         ratios = self._ratios(inside, share)[:, SCATTERING.index(windows.observables), :, 0]
         states = _most_probable_states(ratios, self._changes[0])[1]
         evidence = float(self.evidence(inside, share)[0]) - float(np.log(len(places)))
-        return replace(place, band=self._windows(states)), evidence
+        return replace(place, covariate_band=self._windows(states)), evidence
 
     def _log_evidence(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of an effect, averaged over its sizes."""
         space = self.space
-        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.use] - 1.0
+        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.used_readings] - 1.0
         rows = np.flatnonzero(added)
         factors = 1.0 + (self.factors[:, None] - 1.0) * added[rows]
         logs = restricted(residual[rows] ** 2, redundancy[rows], factors).sum(axis=1)

@@ -61,18 +61,18 @@ class NullEnsemble:
     @classmethod
     def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
         """Ensemble of a residual space, with `trials` simulated recordings."""
-        projection = space.projection
+        projection = space.projector
         small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS
         basis = projection.basis if isinstance(projection, BasisProjection) and small else None
         others = GRAM_DRAWS if basis is None else basis.shape[1]
-        vectors = np.empty((space.size, 1 + trials + others), dtype=np.float32)
-        vectors[:, 0] = space.residual
+        vectors = np.empty((space.n_rows, 1 + trials + others), dtype=np.float32)
+        vectors[:, 0] = space.residuals
         _simulate(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + trials])
         if basis is None:
             _simulate(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + trials :])
         else:
             vectors[:, 1 + trials :] = basis
-        nothing = np.zeros((space.size, 0))
+        nothing = np.zeros((space.n_rows, 0))
         return cls(space, vectors, trials, nothing, is_first_pass=True, gram_is_monte_carlo=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
@@ -91,7 +91,7 @@ class NullEnsemble:
     @cached_property
     def _rows(self) -> Ints:
         """Row (n, 3) of each reading; any row for readings that are not used, whose weight is zero."""
-        use = self.space.use
+        use = self.space.used_readings
         rows = np.zeros(use.shape, dtype=np.int64)
         rows[use] = np.arange(int(use.sum()))
         return rows

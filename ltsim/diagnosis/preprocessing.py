@@ -6,10 +6,10 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
-from ltsim.adjustment.identification import Fit, Selection, adapted, outcomes
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
-from ltsim.adjustment.identification.selection import BEYOND_DOUBT
-from ltsim.adjustment.snooping import LARGEST_ERROR
+from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
+from ltsim.adjustment.identification.selection import MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of, gross_finding
 from ltsim.diagnosis.schema import Finding
@@ -28,28 +28,35 @@ PATTERN = 2
 """Largest number of outliers of one observable at one station or target that count as single errors."""
 
 
-def mistakes_in(selection: Selection) -> list[Hypothesis]:
+def mistakes_in(selection: CauseSelection) -> list[Hypothesis]:
     """Mistakes of a recording, among the selected hypotheses, that are corrected before the search for effects.
 
     These are wrongly recorded rows and contradicting reference values with sufficient evidence. Shifts are included
     only if one of them is gross, which no effect in first order explains: then all of them, since each was tested given
     the others.
     """
-    fit, chosen = selection.fit, [c.hypothesis for c in selection.choices if c.gain > BEYOND_DOUBT]
-    shifts = [h for h in chosen if isinstance(h.change, Shift)]
-    gross = any(fit.displacement(h) > LARGEST_ERROR and fit.length(h) > GROSS for h in shifts)
-    return [h for h in chosen if not isinstance(h.change, NoiseFactor) and (gross or not isinstance(h.change, Shift))]
+    fit, chosen = (
+        selection.fit,
+        [c.hypothesis for c in selection.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN],
+    )
+    shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange)]
+    gross = any(fit.displacement(h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > GROSS for h in shifts)
+    return [
+        h
+        for h in chosen
+        if not isinstance(h.model_change, NoiseFactor) and (gross or not isinstance(h.model_change, ReadingShiftChange))
+    ]
 
 
-def single_errors(fit: Fit) -> Bools:
+def single_errors(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers that no effect explains: gross ones, and far ones that are single at their place.
 
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
-    error = np.where(fit.outliers, np.abs(fit.whitened), 0.0) / fit.prediction_spread
-    far, single = error > FAR_OUT, fit.is_gross & (error > GROSS)
+    error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
+    far, single = error > FAR_OUT, fit.is_gross_reading & (error > GROSS)
     for place in (fit.recording.station, fit.recording.target):
-        count = np.stack([np.bincount(place, fit.outliers[:, k], place.max() + 1) for k in range(3)], axis=1)
+        count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         far &= count[place] <= PATTERN
     return single | far
 
@@ -61,7 +68,7 @@ def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
 
 
 def adapted_baseline(
-    recording: Recording, construction: Construction, selection: Selection, *, restored: Bools | None = None
+    recording: Recording, construction: Construction, selection: CauseSelection, *, restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment with the blunders of a selection in its model, usable readings (n, 3), and findings.
 
@@ -72,17 +79,17 @@ def adapted_baseline(
     errors = single_errors(fit)
     if restored is not None:
         errors &= ~restored
-    baseline = adapted(fit, recording, construction, mistakes, subtracted=True, use=~errors)
+    baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracted_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(h.kind, h.stations, h.targets) for h in mistakes}
     tests = [
         test
-        for test in outcomes(selection)
+        for test in cause_tests(selection)
         if (test.kind, test.where.stations, test.where.targets) in places
         or (test.kind == "outlier" and (test.rows[0], test.acts_on) in rows)
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust(moved, construction, effects=baseline.effects, use=~errors, start=baseline.state)
-    axes = [test for test in baseline.axis_tests if test.excluded]
+        baseline = adjust(moved, construction, effects=baseline.effects, reading_mask=~errors, start=baseline.state)
+    axes = [test for test in baseline.axis_tests if test.is_excluded]
     return baseline, ~errors, [*map(finding_of, tests), *map(axis_finding, axes), *map(gross_finding, tripods)]

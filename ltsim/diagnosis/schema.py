@@ -7,9 +7,9 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.combinations import DeterminedEntry
-from ltsim.calibration.schema import COORDINATES, RESIDUALS
+from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
@@ -17,11 +17,11 @@ TARGETS = Table(
     "targets.csv",
     "targets adjusted with the findings modelled",
     (
-        *COORDINATES,
+        *COORDINATE_COLUMNS,
         *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
     ),
 )
-BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="residuals of the ordinary adjustment")
+BEFORE = replace(RESIDUALS_TABLE, file="residuals_before.csv", about="residuals of the ordinary adjustment")
 
 
 class Where(Entry):
@@ -83,7 +83,7 @@ class Estimate(Entry):
     @classmethod
     def of(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
         """Estimate of a parameter from its value and standard deviation [SI]."""
-        factor = FACTOR[parameter.unit]
+        factor = SI_PER_UNIT[parameter.unit]
         return cls(name=parameter.name, value=value / factor, sigma=sigma / factor, unit=parameter.unit)
 
 
@@ -198,7 +198,7 @@ class DetectableEntry(Entry):
     @classmethod
     def of(cls, minimal: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
-        size = minimal.typical / FACTOR[minimal.unit]
+        size = minimal.median_size / SI_PER_UNIT[minimal.unit]
         return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
 
 

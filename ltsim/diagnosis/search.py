@@ -31,10 +31,10 @@ from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate, shape_posterior
 from ltsim.diagnosis.space import panels
-from ltsim.physics.effects.signature import ShapeParameter, Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.sizes import sizes_of
+from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.names import catalogue_name
+from ltsim.physics.laws.sizes import displayed_sizes
 
 MOST_MEMBERS = 5
 """Largest number of members of a model, and of reported constants of instruments."""
@@ -102,7 +102,7 @@ class Searcher:
             )
         self.cards = cards
         self.panels: list[LawBatch] = panels(space, ordinary=ordinary)
-        self.empty = Model((), (), (), space.residual)
+        self.empty = Model((), (), (), space.residuals)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._projected: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.exact = EvidenceCalculator(space)
@@ -114,12 +114,12 @@ class Searcher:
         Screening uses the Gram matrices of the whole network, evaluation those without the rows; neither depends on the
         readings.
         """
-        unit = np.zeros((self.space.size, len(rows)))
+        unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
         rest.space, rest.large, rest._most = self.space.augmented(unit), True, FEW
-        rest.probe = self.probe.with_model(rest.space.residual, self.empty.basis)
-        rest.empty = Model((), (), (), rest.space.residual)
+        rest.probe = self.probe.with_model(rest.space.residuals, self.empty.basis)
+        rest.empty = Model((), (), (), rest.space.residuals)
         rest._ranked, rest._projected = {}, OrderedDict()
         rest.exact = EvidenceCalculator(rest.space)
         rest.first = rest._screened(rest.empty)
@@ -184,26 +184,28 @@ class Searcher:
                 chosen.append(int(i))
         return chosen
 
-    def _integrated(self, effect: Tunable, base: Model) -> tuple[Tunable, float]:
+    def _integrated(self, effect: CandidateEffect, base: Model) -> tuple[CandidateEffect, float]:
         """Effect with its shape at the optimum, and log evidence averaged over a cell of the coarse grid."""
         effect, value = self.exact.refine_locally([effect], base)[0]
-        for shape in type(effect).shape:
+        for shape in type(effect).shape_parameters:
             now = getattr(effect, shape.name)
-            if isinstance(now, float) and shape.steps > 1:
+            if isinstance(now, float) and shape.n_grid_values > 1:
                 effect, value = self._over(effect, shape, base, value)
         return effect, value
 
-    def _over(self, effect: Tunable, shape: ShapeParameter, base: Model, value: float) -> tuple[Tunable, float]:
+    def _over(
+        self, effect: CandidateEffect, shape: ShapeParameter, base: Model, value: float
+    ) -> tuple[CandidateEffect, float]:
         """Best value of a shape constant, and log mean evidence over its cell by the trapezoidal rule."""
         now = float(getattr(effect, shape.name))
-        low, high = shape.bracket(now)
+        low, high = shape.neighbouring_grid_interval(now)
         if not low < high:
             return effect, value
         u = np.linspace(-1.0, 1.0, GRID)
 
         def tried(points: Floats) -> Floats:
             values = (interpolate(shape, low, high, x) for x in points.tolist())
-            return self.exact.evidence([effect.reshaped(**{shape.name: value}) for value in values], base)
+            return self.exact.evidence([effect.with_constants(**{shape.name: value}) for value in values], base)
 
         logs = tried(u)
         for _ in range(ZOOMS):
@@ -212,7 +214,7 @@ class Searcher:
             more = np.setdiff1d(np.linspace(near[0], near[-1], FINER), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
-        best = effect.reshaped(**{shape.name: interpolate(shape, low, high, float(u[best_of(logs)]))})
+        best = effect.with_constants(**{shape.name: interpolate(shape, low, high, float(u[best_of(logs)]))})
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
@@ -226,7 +228,7 @@ class Searcher:
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
             place, driver = hit.place, hit.driver.centred_on(hit.place.targets)
-            law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
+            law = EmpiricalLaw(place.stations, place.targets, hit.carrier, driver, place.instruments)
             key = (hit.carrier.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.carrier.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._most or kind not in kinds
@@ -235,14 +237,14 @@ class Searcher:
                 kinds.add(kind)
                 entries += evaluate_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
-                entries.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
+                entries.append(Hypothesis(law, hit.log_prior, hit.value, catalogue_name(law)))
         return entries
 
     def estimates(self, hypothesis: Hypothesis, others: Model, refitted: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; posterior means and deviations over all shapes where these are much wider."""
         effect = hypothesis.effect
-        if isinstance(effect, Law):
-            sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
+        if isinstance(effect, EmpiricalLaw):
+            sizes = displayed_sizes(effect, self.space.sightings, *self.coefficients(effect, others))
             return (*(Estimate(**size._asdict()) for size in sizes), *centre_estimates(self.exact, effect, others))
         marginal = shape_posterior(self.exact, effect, others, refitted)
         wider = any(marginal[e.name].sigma > WIDER * e.sigma for e in refitted if e.name in marginal)
@@ -251,17 +253,17 @@ class Searcher:
             rows.append(marginal["time"])
         return (*rows, *centre_estimates(self.exact, effect, others))
 
-    def coefficients(self, law: Law, others: Model) -> tuple[Floats, Floats]:
+    def coefficients(self, law: EmpiricalLaw, others: Model) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients given a model."""
         gram, score = self.exact.moments([law], others)[0]
-        return posterior(gram, score, law.spread)[:2]
+        return posterior(gram, score, law.size_scales)[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Model:
         """Model of the given hypotheses."""
         if not members:
             return self.empty
         parts = [self._projected_signature(h) for h in members]
-        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
+        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
     def without(self, model: Model, member: int) -> Model:
         """Model without a member."""

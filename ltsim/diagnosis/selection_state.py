@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.refit import Refit, refit
+from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import WIDE
@@ -18,8 +18,8 @@ from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import TRIALS
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects.signature import Signature, Tunable
-from ltsim.physics.model.measurement import State
+from ltsim.physics.effects.signature import CandidateEffect, Signature
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 REWEIGHTINGS = 2
@@ -65,14 +65,14 @@ class SelectionState:
     @property
     def empty(self) -> Model:
         """Model without members."""
-        return Model((), (), (), self.space.residual)
+        return Model((), (), (), self.space.residuals)
 
     @property
     def recording(self) -> Recording:
         """Recording with corrected blunders."""
         return self.baseline.recording
 
-    def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:
+    def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
         """Nonlinear refit with effects; without effects the ordinary adjustment.
 
         Parameters have a prior of `WIDE` times their plausible size, since some combinations may leave no residual.
@@ -81,29 +81,35 @@ class SelectionState:
             return Refit(self.baseline, (), ())
         old = self.baseline
         adjusted = partial(
-            adjust, self.recording, old.construction, sigma=sigma, use=self.use, held_to=WIDE, prior=old.problem.prior
+            adjust,
+            self.recording,
+            old.construction,
+            sigma=sigma,
+            reading_mask=self.use,
+            effect_prior_sigma=WIDE,
+            prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[Signature] = (), start: State | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[Signature] = (), start: NetworkState | None = None) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
             return adjusted(effects=(*effects, *old.effects), start=start)
 
-        return refit(with_causes if old.effects else adjusted, effects, start=old.state)
+        return refit_with_effects(with_causes if old.effects else adjusted, effects, start=old.state)
 
     def release_priors(self, constants: Sequence[Contradiction]) -> None:
         """Widening of the prior of contradicting constants, with a new adjustment."""
         old = self.baseline
-        freed = np.zeros(old.state.instrument.shape, dtype=bool)
+        freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for constant in constants:
             owners = [self.recording.instruments.index(name) for name in constant.instruments]
-            freed[owners, old.construction.names.index(constant.parameter.name)] = True
+            freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
         prior = old.problem.prior.widened(freed)
         self.baseline = adjust(
             self.recording,
             old.construction,
             effects=old.effects,
             sigma=self.recording.sigma(),
-            use=self.use,
+            reading_mask=self.use,
             start=old.state,
             prior=prior,
         )
@@ -111,8 +117,12 @@ class SelectionState:
 
     def set_adjustment(self, adjustment: Adjustment) -> None:
         """Replacement of the adjustment: the residual space is rebuilt and cached scores are removed."""
-        self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
-        quieter = not any(getattr(change.effect, "repeating", "") for change in self.noise)
+        self.space, self._scored, self._searcher = (
+            ResidualSpace.from_adjustment(adjustment),
+            self._searcher or self._scored,
+            None,
+        )
+        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
         tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
         self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
 
@@ -132,22 +142,22 @@ class SelectionState:
             self.noise.append(further)
         self.sigma = self._weighted(self.noise)
 
-    def estimate_variance_components(self, effects: Sequence[Tunable]) -> Adjustment:
+    def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
         """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
         for _ in range(REWEIGHTINGS):
-            space = ResidualSpace.of(self.refit((), self.sigma).adjustment).with_effects(effects)
+            space = ResidualSpace.from_adjustment(self.refit((), self.sigma).adjustment).with_effects(effects)
             for i, change in enumerate(self.noise):
                 others = self._weighted([*self.noise[:i], *self.noise[i + 1 :]])
                 self.noise[i] = replace(most_likely(space, others, change), drop=change.drop)
             self.sigma = self._weighted(self.noise)
         return self.refit((), self.sigma).adjustment
 
-    def prune_variance_components(self, effects: Sequence[Tunable]) -> None:
+    def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:
         """Re-estimation of the variance components with effects in the model.
 
         Those without positive evidence are removed.
         """
-        space = ResidualSpace.of(self.estimate_variance_components(effects)).with_effects(effects)
+        space = ResidualSpace.from_adjustment(self.estimate_variance_components(effects)).with_effects(effects)
         estimates = [
             most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)
             for change in self.noise

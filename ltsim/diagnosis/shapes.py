@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.evidence import shares, wide_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import Estimate
-from ltsim.physics.effects.signature import ShapeParameter, Tunable
+from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
 
 STEP, FLAT = 0.05, 20.0
 """Step [m] of the second differences over a place of the hall, and factor on the step that represents no bound."""
@@ -22,11 +22,11 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
     """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
     def even(x: Floats) -> Floats:
-        return np.log(x) if shape.logarithmic else (1.0 / x if shape.reciprocal else x)
+        return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
-    low, high = min(shape.low, now), max(shape.high, now)
-    grid = np.geomspace(low, high, count) if shape.logarithmic else np.linspace(low, high, count)
-    if shape.reciprocal:
+    low, high = min(shape.lower_bound, now), max(shape.upper_bound, now)
+    grid = np.geomspace(low, high, count) if shape.has_logarithmic_grid else np.linspace(low, high, count)
+    if shape.has_reciprocal_grid:
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
     near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
     values = np.unique(np.concatenate([grid, near, [now]]))
@@ -37,19 +37,19 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
 def interpolate(shape: ShapeParameter, low: float, high: float, u: float) -> float:
     """Value of a shape constant at u, from -1 at `low` to 1 at `high`, uniform in the coordinate of its grid."""
     s = 0.5 * (u + 1.0)
-    if shape.logarithmic:
+    if shape.has_logarithmic_grid:
         return float(low * (high / low) ** s)
-    if shape.reciprocal and low > 0:
+    if shape.has_reciprocal_grid and low > 0:
         return float(1.0 / ((1 - s) / low + s / high))
     return float(low + s * (high - low))
 
 
-def are_distinct(effect: Tunable, other: Tunable) -> bool:
+def are_distinct(effect: CandidateEffect, other: CandidateEffect) -> bool:
     """True if two effects differ in place, or in a shape constant by more than the integration covers."""
     if (effect.stations, effect.targets) != (other.stations, other.targets):
         return True
-    for shape in type(effect).shape:
-        low, high = shape.bracket(float(vars(other)[shape.name]))
+    for shape in type(effect).shape_parameters:
+        low, high = shape.neighbouring_grid_interval(float(vars(other)[shape.name]))
         if not low <= float(vars(effect)[shape.name]) <= high:
             return True
     return False
@@ -61,7 +61,7 @@ class ShapeNode(NamedTuple):
     The weight is the evidence times the cell volume; the time of a change may be anywhere between two pointings.
     """
 
-    effect: Tunable
+    effect: CandidateEffect
     log_weight: float
     constants: dict[str, float]
     mean: Floats
@@ -70,7 +70,7 @@ class ShapeNode(NamedTuple):
     """Time [s] between the pointings before and after a change."""
 
 
-def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
+def _cell_widths(effects: Sequence[CandidateEffect]) -> dict[float, float]:
     """Width [s] of the cell of each time of a change, from the midpoints to its neighbours."""
     times = np.unique([float(vars(effect).get("time", np.nan)) for effect in effects])
     times = times[np.isfinite(times)]
@@ -78,26 +78,33 @@ def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
 
 
 def all_shapes(
-    exact: EvidenceCalculator, effect: Tunable, base: Model, spread: Mapping[str, float], *, plausible: bool = False
+    exact: EvidenceCalculator,
+    effect: CandidateEffect,
+    base: Model,
+    spread: Mapping[str, float],
+    *,
+    plausible: bool = False,
 ) -> list[ShapeNode]:
     """Grid nodes of an effect over all its shapes and neighbouring places; empty without either.
 
     Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). Weights use a wide prior
     of the size or, if `plausible`, the prior of sizes.
     """
-    shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
-    near = effect.finer(exact.space.sightings)
+    shapes = [
+        s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
+    ]
+    near = effect.neighbours(exact.space.sightings)
     if not (shapes or near) or len(shapes) > 2:
         return []
     count = 33 if len(shapes) == 1 and not near else 15
     axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
-    sizes = effect.spread
+    sizes = effect.size_scales
     gaps = _cell_widths([effect, *near])
     points = [
         (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
         for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
     ]
-    shaped = [instance.reshaped(**constants) for instance, constants, _ in points]
+    shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
     weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in posteriors]
     nodes = []
@@ -111,7 +118,7 @@ def all_shapes(
     return nodes
 
 
-def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) -> tuple[Estimate, ...]:
+def centre_estimates(exact: EvidenceCalculator, effect: CandidateEffect, base: Model) -> tuple[Estimate, ...]:
     """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
 
     Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; an
@@ -141,14 +148,14 @@ def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) ->
 
 
 def shape_posterior(
-    exact: EvidenceCalculator, effect: Tunable, base: Model, estimates: Sequence[Estimate]
+    exact: EvidenceCalculator, effect: CandidateEffect, base: Model, estimates: Sequence[Estimate]
 ) -> dict[str, Estimate]:
     """Posterior means and standard deviations, averaged over a grid of shape constants that is densest at `estimates`.
 
     Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
     for effects without shape constants.
     """
-    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in estimates})
+    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
     if not shapes:
         return {}
     weight = shares(np.array([node.log_weight for node in shapes]))
@@ -156,9 +163,15 @@ def shape_posterior(
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
     mean = weight @ values
     sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
-    units = {"time": "s"} | {s.name: s.unit for s in type(effect).shape} | {p.name: p.unit for p in effect.parameters}
+    units = (
+        {"time": "s"}
+        | {s.name: s.unit for s in type(effect).shape_parameters}
+        | {p.name: p.unit for p in effect.parameters}
+    )
     names = [*(p.name for p in effect.parameters), *shapes[0].constants]
     return {
-        name: Estimate(name=name, value=m / FACTOR[units[name]], sigma=d / FACTOR[units[name]], unit=units[name])
+        name: Estimate(
+            name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
+        )
         for name, m, d in zip(names, mean, sigma, strict=True)
     }

@@ -15,28 +15,28 @@ from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
-from ltsim.physics.laws.columns import LOW, MODES
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.places import (
-    Place,
-    clusters,
+    LawPlace,
     connected_groups,
     group_places,
-    named_rows,
+    instrument_places,
     neighbour_groups,
-    trackers_of,
+    rows_by_name,
+    target_clusters,
 )
 from ltsim.physics.laws.regressor_library import (
     ACCUMULATED_ROTATIONS,
-    DEPTHS,
+    OPERATOR_COUNTS,
     OPERATOR_ODDS,
-    group_regressors,
+    candidate_regressors,
     is_admissible,
-    regressors_of,
+    target_group_regressors,
     visits,
-    waves,
+    wave_regressors,
 )
-from ltsim.physics.laws.regressors import CLOCKS, Regressor
-from ltsim.physics.laws.responses import ResponseTerm, response_designs
+from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
+from ltsim.physics.laws.responses import Response, response_designs
 
 MOST_PLACES = 400
 """Largest number of set-ups, or targets, of a network in which each is a separate place (cost)."""
@@ -56,7 +56,7 @@ ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("targe
 """Kinds of responses that such regressors are restricted to: with others the space would be large
 and hardly physical.
 """
-SWINGS = (*CLOCKS, *ACCUMULATED_ROTATIONS)
+SWINGS = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
@@ -80,26 +80,30 @@ def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
     return made.panels()
 
 
-def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]]:
+def _places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], Drivers]]:
     """Kinds of places, the places, and the regressors that are tried there."""
     s = space.sightings
-    everywhere = (Place((), (), np.arange(len(s))),)
-    stations = tuple(Place((name,), (), rows) for name, rows in named_rows(_few(s.station_names), s.station))
-    targets = tuple(Place((), (name,), rows) for name, rows in named_rows(_few(s.target_names), s.target))
+    everywhere = (LawPlace((), (), np.arange(len(s))),)
+    stations = tuple(LawPlace((name,), (), rows) for name, rows in rows_by_name(_few(s.station_names), s.station))
+    targets = tuple(LawPlace((), (name,), rows) for name, rows in rows_by_name(_few(s.target_names), s.target))
     is_grouped = len(s.target_names) in GROUPED
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
-    sets = clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
+    sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
     groups = tuple(group_places(s, sets))
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
-    general = regressors_of(s)
-    there = general if stay > FINE * MODES else regressors_of(s, LOW)
-    swings = list(waves(s, ("station-time",), among=len(s.station_names)))
+    general = candidate_regressors(s)
+    there = general if stay > FINE * N_MODES_DEFAULT else candidate_regressors(s, N_MODES_FACTOR)
+    swings = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
         ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
-        ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
+        (
+            "instrument",
+            instrument_places(s, space.adjustment.recording.instruments),
+            {k: general[k] for k in AT_A_TIME},
+        ),
         ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
-        ("group", groups, group_regressors(s) if groups else {}),
+        ("group", groups, target_group_regressors(s) if groups else {}),
     ]
 
 
@@ -113,28 +117,30 @@ class _Maker:
 
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
-        self._sigma, self._use = space.sigma, space.use
-        self._carriers: dict[tuple[str, int], list[tuple[ResponseTerm, Floats]]] = {}
+        self._sigma, self._use = space.sigma, space.used_readings
+        self._carriers: dict[tuple[str, int], list[tuple[Response, Floats]]] = {}
         self._asked: dict[
-            tuple[tuple[ResponseTerm, ...], tuple[Regressor, ...]], list[tuple[tuple[Place, ...], float]]
+            tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]
         ] = {}
         for carrier, design in response_designs(self._s).values():
             weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = scaled_to_noise(carrier, weights)
-            self._carriers.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
+            self._carriers.setdefault((carrier.kind, len(carrier.component_names)), []).append(
+                (sized, sized.plausible_size * weights)
+            )
 
-    def ask(self, place: str, places: tuple[Place, ...], offered: Drivers, held: tuple[str, ...]) -> None:
+    def ask(self, place: str, places: tuple[LawPlace, ...], offered: Drivers, held: tuple[str, ...]) -> None:
         """Registration of laws at some places, of responses and of their regressors.
 
         Some kinds are excluded (`held`).
         """
         kinds = AT_TARGETS if place in ("target", "group") else KINDS
         for (kind, ways), carriers_of_kind in self._carriers.items():
-            together = len(carriers_of_kind[0][0].units)  # observables of a joint response; 0 for all others
+            together = len(carriers_of_kind[0][0].component_units)  # observables of a joint response; 0 for all others
             carriers = sum(
                 len(same)
                 for (other, n), same in self._carriers.items()
-                if other == kind and (n == ways if together else not same[0][0].units)
+                if other == kind and (n == ways if together else not same[0][0].component_units)
             )
             for name, drivers in offered.items():
                 if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
@@ -142,22 +148,22 @@ class _Maker:
                 if together and (name not in TOGETHER or place in ("target", "group")):
                     continue
                 moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
-                depth = DEPTHS[name] + max(together - 1, 0)
+                depth = OPERATOR_COUNTS[name] + max(together - 1, 0)
                 weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
                 self._share(tuple(c for c, _ in carriers_of_kind if _passes(name, c)), moved, places, weight, ways)
 
     def _share(
         self,
-        carriers: tuple[ResponseTerm, ...],
+        carriers: tuple[Response, ...],
         drivers: Sequence[Regressor],
-        places: tuple[Place, ...],
+        places: tuple[LawPlace, ...],
         weight: float,
         ways: int,
     ) -> None:
         """Division of the weight of each response equally among regressors and the places with enough pointings."""
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for driver in drivers if carriers else ():
-            by_shape.setdefault((driver.size, len(driver.spreads)), []).append(driver)
+            by_shape.setdefault((driver.n_columns, len(driver.coefficient_sigmas)), []).append(driver)
         fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in by_shape}
         count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
         for size, same in by_shape.items():
@@ -168,12 +174,12 @@ class _Maker:
         """Batches of the registered laws: equal responses and regressors at all their places in one batch."""
         weights = {c: w for carriers_of_kind in self._carriers.values() for c, w in carriers_of_kind}
         whole = sum(
-            prior * len(group) * len(carriers) * sum(len(d.spreads) for d in drivers)
+            prior * len(group) * len(carriers) * sum(len(d.coefficient_sigmas) for d in drivers)
             for (carriers, drivers), wanted in self._asked.items()
             for group, prior in wanted
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
-        stacked: dict[tuple[ResponseTerm, ...], Singles] = {}
+        stacked: dict[tuple[Response, ...], Singles] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
         for (carriers, drivers), wanted in self._asked.items():
@@ -204,7 +210,7 @@ class _Maker:
         return batches
 
 
-def _passes(name: str, carrier: ResponseTerm) -> bool:
+def _passes(name: str, carrier: Response) -> bool:
     """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
     way = name.removesuffix(" for a time")
     return way not in ("passage", "lever") or ("distance" in carrier.observables) == (way == "passage")
@@ -215,7 +221,7 @@ def _swings(kind: str, wave: Regressor) -> bool:
     return kind == "reading" or wave.covariates[0] in SWINGS
 
 
-def scaled_to_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:
+def scaled_to_noise(carrier: Response, weights: Floats) -> Response:
     """Response with a plausible size that at least reaches the noise; `weights` (n, 3, c) belong to its unit."""
-    strength = carrier.size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
-    return replace(carrier, size=carrier.size * times_to_noise(strength))
+    strength = carrier.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
+    return replace(carrier, plausible_size=carrier.plausible_size * times_to_noise(strength))

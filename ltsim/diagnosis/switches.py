@@ -15,10 +15,10 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.regressor_library import MIN_TARGETS_NEAR, waves
-from ltsim.physics.laws.regressors import Regressor, simple
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.names import catalogue_name
+from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_regressors
+from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_TIMES = {True: 1, False: 2}
@@ -53,68 +53,70 @@ class Spans(NamedTuple):
     square: Floats
 
 
-def number_of_waves(law: Law, sightings: Sightings) -> int:
+def number_of_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
     swing = law.switched_factor
     if swing is None or swing.kind != "wave":
         return 1
-    return sum(wave.covariates == swing.covariates for wave in waves(sightings))
+    return sum(wave.covariates == swing.covariates for wave in wave_regressors(sightings))
 
 
 def switched_forms(
-    exact: EvidenceCalculator, law: Law, prior: float, base: Model, *, refine: bool = True
+    exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model, *, refine: bool = True
 ) -> list[Hypothesis]:
     """Form of a law that is on in some spans of its covariate; empty if that is not possible.
 
     The region of a law is refined before its times unless `refine` is false.
     """
     sightings = exact.space.sightings
-    edges = law.edges(sightings)
+    edges = law.candidate_switch_times(sightings)
     if len(edges) < EARLY_STOP:
         return []
-    if law.is_in_the_hall and refine:
+    if law.depends_on_fixed_region and refine:
         law = exact.refine_locally([law], base)[0][0]
-    first = simple(edges[0].covariates[0], "step", -np.inf)
+    first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
     spans = _moments(exact, law, [first, *edges], base)
-    spread = law.switched([first]).spread
+    spread = law.with_switch([first]).size_scales
     on, value, toggled = _toggled(spans, spread)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    starts_on = bool(on[0]) and law.is_in_the_hall  # elsewhere a constant is absorbed: on and off are alike
+    starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_for_a_time(law, chosen, sightings):
         return []
-    refined, mean = exact.refine_locally([law.switched([first, *chosen] if starts_on else chosen)], base)[0]
+    refined, mean = exact.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base)[0]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
-    form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, name_of(refined))
+    form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, catalogue_name(refined))
     return [form, *_formula_of_the_rest(exact, form, base)]
 
 
 def _formula_of_the_rest(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
     """Switched law with a short formula in place of the curve in its second factor; empty if it has none."""
     law = form.effect
-    assert isinstance(law, Law)
-    formulas = law.formulas(exact.space.sightings) if any(f.kind == "smooth" for f in law.driver.factors) else []
+    assert isinstance(law, EmpiricalLaw)
+    formulas = (
+        law.candidate_formulas(exact.space.sightings) if any(f.kind == "smooth" for f in law.regressor.factors) else []
+    )
     if not formulas:
         return []
     best = formulas[best_of(exact.evidence(formulas, base))]
     refined, value = exact.refine_locally([best], base)[0]
     prior = form.log_prior - float(np.log(len(formulas)))
-    return [Hypothesis(refined, prior, value + prior, name_of(refined))]
+    return [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
 
 
-def _moments(exact: EvidenceCalculator, law: Law, steps: Sequence[Regressor], base: Model) -> Spans:
+def _moments(exact: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base: Model) -> Spans:
     """Moments of a law in the spans from each step to the next."""
     sightings, count = exact.space.sightings, len(steps)
     x = sightings.quantities[steps[0].covariates[0]]
     after = x[:, None] > [step.constant for step in steps]
     gram, score = exact.moments([law.in_steps(steps)], base)[0]
-    ways = len(law.carrier.ways)
+    ways = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (ways * count))  # steps have an rms of one
     shape = ways, count, len(columns) // count
     scale = np.tile(columns, ways)
     gram = (gram * np.outer(scale, scale)).reshape(*shape, *shape).transpose(1, 0, 2, 4, 3, 5)
     score = (score * scale).reshape(shape).transpose(1, 0, 2).reshape(count, -1)
     gram = gram.reshape(count, score.shape[1], count, score.shape[1])
-    weight = law.columns(sightings)[:, 0] ** 2 if law.is_in_the_hall else np.ones(len(x))
+    weight = law.columns(sightings)[:, 0] ** 2 if law.depends_on_fixed_region else np.ones(len(x))
     beyond = (weight[:, None] * after).mean(axis=0)
     gram = _differences(np.moveaxis(_differences(gram), 2, 0))
     return Spans(np.moveaxis(gram, 0, 2), _differences(score), _differences(beyond))
@@ -164,9 +166,9 @@ def _cumulative(values: Floats) -> Floats:
     return np.concatenate([np.zeros_like(values[:1]), values.cumsum(axis=0)])
 
 
-def _acts_for_a_time(law: Law, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+def _acts_for_a_time(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switch with these edges is no single step, and not absorbed by the poses of set-ups."""
-    least = MIN_TARGET_TIMES if len(law.targets) == 1 else MIN_SWITCH_TIMES[law.is_in_the_hall]
+    least = MIN_TARGET_TIMES if len(law.targets) == 1 else MIN_SWITCH_TIMES[law.depends_on_fixed_region]
     if edges and edges[0].covariates != ("time",):
         return len(edges) >= least and _switches_several_targets(law, edges, sightings)
     if len(law.targets) == 1:
@@ -174,11 +176,11 @@ def _acts_for_a_time(law: Law, edges: Sequence[Regressor], sightings: Sightings)
     return sum(_is_within_a_set_up(edge.constant, sightings) for edge in edges) >= least
 
 
-def _switches_several_targets(law: Law, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+def _switches_several_targets(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a law is on for several targets, and off for several: otherwise the cause belongs to a single target."""
-    on = law.switched(edges).columns(sightings)[:, 0] != 0.0
+    on = law.with_switch(edges).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
-    return min(counts) > MIN_TARGETS_NEAR
+    return min(counts) > MIN_EFFECTIVE_TARGETS
 
 
 def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:

@@ -7,7 +7,7 @@ from ltsim.calibration.history import History
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 
 
 def diagnose(
@@ -49,5 +49,5 @@ def diagnose(
     >>> found.verdict, len(found.findings)
     ('consistent', 0)
     """
-    earlier = None if history is None else EarlierCalibrations.of(history)
-    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=earlier, held_out=held_out)
+    earlier = None if history is None else EarlierCalibrations.from_source(history)
+    return diagnosis_of(load_recording(recording), level=level, seed=seed, history=earlier, held_out=held_out)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.notation import listing, with_sigma
 from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, Where
-from ltsim.physics.effects import card_of, find_effect, title_of
+from ltsim.physics.effects import catalogue_entry, find_effect, title_of
 
 MOST_NAMED = 4
 """Largest number of estimates in a sentence."""
@@ -66,7 +66,7 @@ def catalogue_sentence(
     effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, p_located: float | None = None
 ) -> str:
     """Sentence on an effect of the catalogue: its size and place, its usual cause, both probabilities."""
-    card = card_of(find_effect(effect))
+    card = catalogue_entry(find_effect(effect))
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     sizes = estimates(parameters)
@@ -75,7 +75,7 @@ def catalogue_sentence(
         return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
     here = place(where.model_copy(update={"observables": ()}))
     located = "" if p_located is None else f"An effect like this {here}: {percent(p_located)}. "
-    cause = f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent(probability)} ({card.cause})"
+    cause = f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent(probability)} ({card.cause_description})"
     return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}."
 
 

@@ -15,25 +15,30 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Expansion:
+class ThermalExpansion:
     """Thermal expansion of a body relative to its length at the reference temperature."""
 
-    factor: float = 1.0
+    length_ratio: float = 1.0
     """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
-    by_coefficient: float = 0.0
-    by_temperature: float = 0.0
-    """Change of the factor for one standard deviation of the coefficient or of the temperature."""
+    change_by_coefficient: float = 0.0
+    """Change of the ratio for one standard deviation of the coefficient."""
+    change_by_temperature: float = 0.0
+    """Change of the ratio for one standard deviation of the temperature."""
 
     @classmethod
-    def of(
+    def from_temperature(
         cls,
         coefficient: float,
-        kelvin: float,
+        temperature_difference: float,
         sigma_coefficient: float | None = None,
-        sigma_kelvin: float | None = None,
-    ) -> Expansion:
-        """Expansion of a body that is `kelvin` [K] warmer than its reference temperature, with `coefficient` [1/K].
+        sigma_temperature: float | None = None,
+    ) -> ThermalExpansion:
+        """Expansion of a body that is warmer [K] than its reference temperature; `coefficient` [1/K].
 
         Without a sigma it is exact.
         """
-        return cls(1.0 + coefficient * kelvin, kelvin * (sigma_coefficient or 0.0), coefficient * (sigma_kelvin or 0.0))
+        return cls(
+            1.0 + coefficient * temperature_difference,
+            temperature_difference * (sigma_coefficient or 0.0),
+            coefficient * (sigma_temperature or 0.0),
+        )

@@ -6,10 +6,10 @@ Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values:
 
 import numpy as np
 
-from ltsim.core.arrays import Floats, Ints, side_by_side
+from ltsim.core.arrays import Floats, Ints, stack_columns
 
 
-def wrap(angle: Floats) -> Floats:
+def wrap_angle(angle: Floats) -> Floats:
     """Angle [rad] brought into (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle, 2 * np.pi)
 
@@ -18,7 +18,7 @@ def to_polar(points: Floats) -> Floats:
     """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m]."""
     x, y, z = points.T
     horizontal = np.hypot(x, y)
-    return side_by_side(np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal))
+    return stack_columns(np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal))
 
 
 def from_polar(readings: Floats) -> Floats:
@@ -28,14 +28,14 @@ def from_polar(readings: Floats) -> Floats:
     """
     range_, azimuth, elevation = readings.T
     horizontal = range_ * np.cos(elevation)
-    return side_by_side(horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation))
+    return stack_columns(horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation))
 
 
 def to_face(polar: Floats, face: Ints) -> Floats:
     """Raw readings (n, 3) on `face` (1 or 2) of front-face values (n, 3); its own inverse."""
     raw = polar.copy()
     back = face == 2
-    raw[back, 1] = wrap(polar[back, 1] + np.pi)
+    raw[back, 1] = wrap_angle(polar[back, 1] + np.pi)
     raw[back, 2] = np.pi - polar[back, 2]
     return raw
 
@@ -44,17 +44,17 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
     """Unit vectors of the beam (outwards), to its left and upwards, each (n, 3), for front-face angles [rad]."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     zero = np.zeros_like(ca)
-    beam = side_by_side(ce * ca, ce * sa, se)
-    across = side_by_side(-sa, ca, zero)
-    up = side_by_side(-se * ca, -se * sa, ce)
+    beam = stack_columns(ce * ca, ce * sa, se)
+    across = stack_columns(-sa, ca, zero)
+    up = stack_columns(-se * ca, -se * sa, ce)
     return beam, across, up
 
 
-def across_beam(vectors: Floats, points: Floats) -> Floats:
+def parts_across_beam(vectors: Floats, points: Floats) -> Floats:
     """Left and up parts (n, 2) of vectors (n, 3) as seen from the origin towards points (n, 3)."""
     _, azimuth, elevation = to_polar(points).T
     _, across, up = unit_vectors(azimuth, elevation)
-    return side_by_side(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
+    return stack_columns(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
 def polar_jacobian(polar: Floats, face: Ints) -> Floats:
@@ -67,4 +67,4 @@ def polar_jacobian(polar: Floats, face: Ints) -> Floats:
     sign = np.where(face == 2, -1.0, 1.0)
     across = across / (range_ * np.cos(elevation))[:, None]
     up = up * (sign / range_)[:, None]
-    return side_by_side(beam, across, up)
+    return stack_columns(beam, across, up)

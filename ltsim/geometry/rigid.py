@@ -5,11 +5,11 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rotations import cross_matrix
 
-COLLINEAR_RATIO = 1e-6
+MAX_COLLINEAR_RATIO = 1e-6
 """Largest distance of points from a line, as a fraction of their extent, up to which they count as collinear."""
 
 
-def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
+def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
     """Displacement (3 k, 6) of points (k, 3) by unit translations and unit rotations about `centre`.
 
     Without it about the origin.
@@ -18,31 +18,31 @@ def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def without_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+def remove_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
     """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
 
     If `free` (6, f) is given, only motions in the span of its columns are removed.
     """
-    motion = rigid_motion(points)
+    motion = rigid_motion_design(points)
     basis = np.linalg.qr(motion if free is None else motion @ free)[0]
     return displacement - basis @ (basis.T @ displacement)
 
 
-def pose_design(by_target: Floats, arm: Floats) -> Floats:
+def pose_design(target_derivatives: Floats, sight_vectors: Floats) -> Floats:
     """Derivative (n, 3, 6) of readings with respect to translation and rotation of their station, network frame.
 
     Parameters
     ----------
-    by_target : (n, 3, 3) float
+    target_derivatives : (n, 3, 3) float
         Derivative of the readings with respect to the target's coordinates.
-    arm : (n, 3) float, [m]
+    sight_vectors : (n, 3) float, [m]
         From the station to the target.
     """
-    return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
+    return np.concatenate([-target_derivatives, target_derivatives @ cross_matrix(sight_vectors)], axis=2)
 
 
 def determines_pose(
-    points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = COLLINEAR_RATIO
+    points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = MAX_COLLINEAR_RATIO
 ) -> Bools:
     """Flags (...): the targets that a station sees determine its pose (six parameters), by their geometry alone.
 

@@ -14,7 +14,7 @@ def cross_matrix(vectors: Floats) -> Floats:
     return matrix
 
 
-def perpendicular(vectors: Floats) -> tuple[Floats, Floats]:
+def perpendicular_vectors(vectors: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (n, 3) that are perpendicular to each of the given unit vectors (n, 3) and to each other."""
     helper = np.where(np.abs(vectors[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(vectors, helper)
@@ -29,22 +29,22 @@ def from_rotation_vector(vectors: Floats) -> Floats:
     return Rotation.from_rotvec(vectors).as_matrix()
 
 
-def about_z(angle: float) -> Floats:
+def rotation_about_z(angle: float) -> Floats:
     """Rotation by `angle` [rad] about the z axis, counter-clockwise seen from above."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def quaternion(matrix: Floats) -> Floats:
+def quaternion_from_matrix(matrix: Floats) -> Floats:
     """Unit quaternion (4,) in the order x, y, z, w of a rotation matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(matrix).as_quat()
 
 
-def smallest_turn(axis: Floats, goal: Floats) -> Floats:
+def smallest_rotation(axis: Floats, goal_axis: Floats) -> Floats:
     """Smallest rotation (3, 3) that turns one unit vector into another."""
-    across, cosine = np.cross(axis, goal), float(axis @ goal)
+    across, cosine = np.cross(axis, goal_axis), float(axis @ goal_axis)
     sine = float(np.linalg.norm(across))
     if sine < 1e-12 and cosine > 0:
         return np.eye(3)

@@ -22,7 +22,7 @@ from ltsim.core.results import Column, Table, numbers
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
-DISPLACEMENTS = Table(
+DISPLACEMENTS_TABLE = Table(
     "displacements.csv",
     "displacement of each common point from the first epoch to the second",
     (
@@ -36,8 +36,9 @@ DISPLACEMENTS = Table(
         *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
     ),
 )
-MAX_NAMED = 6
-COVERAGE = 0.95
+MAX_LISTED_POINTS = 6
+"""Largest number of points that a sentence lists."""
+ELLIPSOID_COVERAGE = 0.95
 """Coverage probability of the error ellipsoids."""
 
 
@@ -69,7 +70,7 @@ class Displacement(Entry):
 
     @property
     def row(self) -> list[Any]:
-        """Row of the table `DISPLACEMENTS`."""
+        """Row of the table `DISPLACEMENTS_TABLE`."""
         sizes = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
 
@@ -110,155 +111,177 @@ class Comparison(ResultFile):
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"displacements": lambda: DISPLACEMENTS.filled(d.row for d in self.displacements)}
+        return {"displacements": lambda: DISPLACEMENTS_TABLE.filled(d.row for d in self.displacements)}
 
     @property
-    def moved(self) -> tuple[str, ...]:
+    def moved_points(self) -> tuple[str, ...]:
         """Names of the points that moved."""
         return tuple(d.target for d in self.displacements if d.moved)
 
 
-def rows_of(points: Sequence[int] | Ints, axes: int) -> Ints:
+def coordinate_rows(points: Sequence[int] | Ints, axes: int) -> Ints:
     """Rows (a k,) of the points (k,) among coordinates along a axes, ordered point by point."""
     return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
 
 
 @dataclass(frozen=True)
 class EpochDifference:
-    """Differences d (T a,) of common points after alignment along `axes` (a,), their covariance, free motions (T a, f).
+    """Differences d (T a,) of common points after alignment, their covariance, and free motions (T a, f).
 
     A term added to the covariance along the free motions does not change results, and makes the covariance of a free
     datum regular.
     """
 
-    names: Sequence[str]
-    gap: Floats
+    point_names: Sequence[str]
+    """Names of the common points."""
+    differences: Floats
+    """Differences of the coordinates, second minus first epoch, (T a,) [m]."""
     covariance: Floats
-    free: Floats
-    axes: Ints
-    places: Floats
+    """Covariance of the differences, (T a, T a) [m^2]."""
+    free_motions: Floats
+    """Free motions of the second epoch, (T a, f)."""
+    compared_axes: Ints
+    """Indices of the compared coordinate axes, (a,)."""
+    first_epoch_points: Floats
     """Coordinates in the first epoch, (T, 3) [m]."""
-    scaled: bool = False
+    estimates_scale: bool = False
     """True if the last free motion is the scale of the second epoch."""
 
     @property
-    def count(self) -> int:
+    def n_points(self) -> int:
         """Number of points."""
-        return len(self.places)
+        return len(self.first_epoch_points)
 
     @property
     def dof(self) -> int:
         """Degrees of freedom of the global test."""
-        return len(self._root) - self.free.shape[1]
+        return len(self._whitening_root) - self.free_motions.shape[1]
 
     def chi2_of(self, point: int) -> float | None:
         """Chi-square of one point's separate difference; None in a free frame."""
-        if self.free.shape[1]:
+        if self.free_motions.shape[1]:
             return None
-        at = rows_of([point], len(self.axes))
-        return float(self.gap[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.gap[at]))
+        at = coordinate_rows([point], len(self.compared_axes))
+        return float(self.differences[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.differences[at]))
 
     @cached_property
-    def _root(self) -> Floats:
+    def _whitening_root(self) -> Floats:
         scale = np.sqrt(np.diag(self.covariance))
         values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         # Directions that neither epoch measured at all say nothing.
         keep = values > 1e-12 * values[-1]
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
-    def _design(self, moved: Sequence[int]) -> Floats:
-        """Whitened design of the free motions and of unit displacements of the `moved` points."""
-        columns = np.eye(len(self.gap))[:, rows_of(moved, len(self.axes))]
-        return self._root @ np.hstack([self.free, columns])
+    def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
+        """Whitened design of the free motions and of unit displacements of the `moved_points` points."""
+        columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
+        return self._whitening_root @ np.hstack([self.free_motions, columns])
 
-    def cost(self, moved: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences that free motions and displacements of `moved` points do not explain."""
-        remaining, design = self._root @ self.gap, self._design(moved)
+    def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
+        """Weighted sum of squared differences that motions and displaced points do not explain."""
+        remaining, design = self._whitening_root @ self.differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
-    def estimate(self, moved: Sequence[int]) -> tuple[Floats, Floats]:
-        """Estimates of free motions and displacements of `moved` points, and their covariance."""
-        design = self._design(moved)
+    def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
+        """Estimates of free motions and displacements of `moved_points` points, and their covariance."""
+        design = self._whitened_design(moved_points)
         size = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / size) / size[:, None]
-        return inverse @ (self._root @ self.gap), inverse @ inverse.T
+        return inverse @ (self._whitening_root @ self.differences), inverse @ inverse.T
 
 
 def congruence_test(
-    gap: EpochDifference, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
+    difference: EpochDifference, stable_mask: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
 ) -> Comparison:
-    """Result of the congruence test, in which the points that are not `fixed` as stable are tested."""
-    tested = np.flatnonzero(~fixed)
-    moved = _search(gap, tested, level)
-    displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
-    statistic, dof, remaining = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
-    scale = float(gap.estimate(moved)[0][gap.free.shape[1] - 1]) if gap.scaled else None
+    """Result of the congruence test, in which the points that are not `stable_mask` as stable are tested."""
+    tested = np.flatnonzero(~stable_mask)
+    moved = _find_moved_points(difference, tested, level)
+    displacements = tuple(
+        _displacement_of_point(difference, i, moved, len(tested), level) for i in range(difference.n_points)
+    )
+    statistic, dof, remaining = (
+        difference.sum_of_squares(),
+        difference.dof,
+        difference.dof - len(difference.compared_axes) * len(moved),
+    )
+    scale = (
+        float(difference.estimate_displacements(moved)[0][difference.free_motions.shape[1] - 1])
+        if difference.estimates_scale
+        else None
+    )
     return Comparison(
         recording=sources[0],
         second=sources[1],
-        sentence=_sentence(displacements),
+        sentence=_result_sentence(displacements),
         level=level,
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_after=float(special.chdtrc(remaining, max(gap.cost(moved), 0.0))) if remaining > 0 else 1.0,
+        p_value_after=float(special.chdtrc(remaining, max(difference.sum_of_squares(moved), 0.0)))
+        if remaining > 0
+        else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
         displacements=displacements,
     )
 
 
-def _search(gap: EpochDifference, tested: Ints, level: float) -> list[int]:
+def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: float) -> list[int]:
     """Indices of points that moved: significant ones are added, then each is tested again with the others."""
     moved: list[int] = []
-    limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
-    most = max(0, gap.count - (len(gap.axes) if gap.free.shape[1] else 0))
-    while len(moved) < min(len(tested), most):
-        now = gap.cost(moved)
-        rest = [p for p in tested if p not in moved]
-        drops = [now - gap.cost([*moved, p]) for p in rest]
+    limit = special.chdtri(len(difference.compared_axes), level / max(len(tested_mask), 1))
+    most = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
+    while len(moved) < min(len(tested_mask), most):
+        now = difference.sum_of_squares(moved)
+        rest = [p for p in tested_mask if p not in moved]
+        drops = [now - difference.sum_of_squares([*moved, p]) for p in rest]
         best = int(np.argmax(drops))
         if drops[best] < limit:
             break
         moved.append(int(rest[best]))
     for point in list(moved):
         others = [p for p in moved if p != point]
-        if gap.cost(others) - gap.cost(moved) < limit:
+        if difference.sum_of_squares(others) - difference.sum_of_squares(moved) < limit:
             moved = others
     return moved
 
 
-def _displacement(gap: EpochDifference, i: int, moved: list[int], tested: int, level: float) -> Displacement:
+def _displacement_of_point(
+    difference: EpochDifference, point: int, moved_points: list[int], tested: int, level: float
+) -> Displacement:
     """Displacement of one point in the frame of the stable points, and its test with the others in the model."""
-    count, a = max(tested, 1), len(gap.axes)
-    others = [p for p in moved if p != i]
-    values, joint = gap.estimate([*others, i])
-    drop = gap.cost(others) - gap.cost([*others, i])
+    count, a = max(tested, 1), len(difference.compared_axes)
+    others = [p for p in moved_points if p != point]
+    values, joint = difference.estimate_displacements([*others, point])
+    drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
     needed = noncentrality(a, level=level / count)
     visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
-    shift[gap.axes], covariance[np.ix_(gap.axes, gap.axes)] = values[-a:], joint[-a:, -a:]
-    factor = float(2.0 * special.gammaincinv(0.5 * a, COVERAGE))
+    shift[difference.compared_axes], covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = (
+        values[-a:],
+        joint[-a:, -a:],
+    )
+    factor = float(2.0 * special.gammaincinv(0.5 * a, ELLIPSOID_COVERAGE))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
-        target=gap.names[i],
-        moved=i in moved,
-        place_mm=(gap.places[i] / MILLIMETRE).tolist(),
+        target=difference.point_names[point],
+        moved=point in moved_points,
+        place_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
         shift_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),
         covariance_um2=(covariance / MICROMETRE**2).tolist(),
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
         visible_um=(float(visible[0]), float(visible[-1])),
-        point_chi2=gap.chi2_of(i),
+        point_chi2=difference.chi2_of(point),
     )
 
 
-def _sentence(displacements: Sequence[Displacement]) -> str:
+def _result_sentence(displacements: Sequence[Displacement]) -> str:
     size = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_NAMED)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_LISTED_POINTS)
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

@@ -16,29 +16,30 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.unmodelled import air_covariance, reach_of
+from ltsim.adjustment.unmodelled import air_covariance, displacement_per_row
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.notation import listing
-from ltsim.geometry.alignment import align
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, rows_of
-from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources
-from ltsim.recordings.coordinates import Coordinates
-from ltsim.recordings.references import EXPANSION_ERROR
+from ltsim.geometry.alignment import align_rigidly
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_rows
+from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observed_sources
+from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
 
-SPACE = np.arange(3)
-ALIGNMENT_ROUNDS = 30
+ALL_AXES = np.arange(3)
+"""Indices of the three coordinate axes."""
+N_ALIGNMENT_ROUNDS = 30
 """Number of iterations of the alignment by distances, in which up to a third of the points may be displaced far."""
-MIN_UNIT_MOTION = 1e-9
+MIN_RELATIVE_UNIT_MOTION = 1e-9
 """Smallest displacement of points by a unit motion, relative to their extent, at which measured axes determine the
 motion.
 """
 
 
-def compare(
+def compare_adjustments(
     first: Adjustment,
     second: Adjustment,
     *,
@@ -53,43 +54,46 @@ def compare(
     """
     lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    stable_points = _frame("recordings", common, stable, held=3)
+    stable_points = _stable_point_mask("recordings", common, stable, held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    given = _in_common(first, second, same_instrument)
-    before, after = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
-    sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
-    return _compared(before, after, scaled, stable_points, stable_points & (stable is not None), level, sources)
+    given = _common_observations(first, second, same_instrument)
+    before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), at, strict=True))
+    sources = SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording)
+    return _compare_epochs(before, after, scaled, stable_points, stable_points & (stable is not None), level, sources)
 
 
 def compare_coordinates(
-    first: Coordinates,
-    second: Coordinates,
+    first: EpochCoordinates,
+    second: EpochCoordinates,
     *,
     stable: Sequence[str] | None = None,
     free: bool = False,
     scaled: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """Comparison of two lists of coordinates in one frame, or in `free` ones; options and errors as `lt.compare`."""
+    """Comparison of two lists of coordinates in one frame, or in `free_motions` ones.
+
+    Options and errors as `lt.compare`.
+    """
     if first.axes != second.axes:
         raise ModelError(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
     common = [name for name in first.names if name in second.names]
-    open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]
+    open_ = [np.eye(6) if free else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = scaled or any(motions.shape[1] for motions in open_)
-    stable_points = _frame("lists", common, stable, held=len(first.axes) if is_open else 0)
+    stable_points = _stable_point_mask("lists", common, stable, held=len(first.axes) if is_open else 0)
     before, after = (
-        _Epoch.listed(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
+        _Epoch.from_coordinates(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
     )
     count = 0 if free else max(motions.shape[1] for motions in open_)
-    notes = [datum_note(count)] if count else []
-    sources = SourceEntry.listed(first), SourceEntry.listed(second)
+    notes = [undetermined_motions_note(count)] if count else []
+    sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
     held = stable_points & (stable is not None)
-    return _compared(before, after, scaled, stable_points, held, level, sources, first.along, notes)
+    return _compare_epochs(before, after, scaled, stable_points, held, level, sources, first.axis_indices, notes)
 
 
-def _compared(
+def _compare_epochs(
     first: _Epoch,
     second: _Epoch,
     scaled: bool,
@@ -97,22 +101,22 @@ def _compared(
     held: Bools,
     level: float,
     sources: tuple[SourceEntry, SourceEntry],
-    axes: Ints = SPACE,
+    axes: Ints = ALL_AXES,
     notes: Sequence[str] = (),
 ) -> Comparison:
     """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
-    gap = _aligned(first, second, scaled, stable, axes)
+    gap = _align_epochs(first, second, scaled, stable, axes)
     result = congruence_test(gap, held, level, sources)
-    order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
+    order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
+            _align_epochs(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
         )
-        notes = [*notes, exchange_note(first.names, order)]
+        notes = [*notes, exchanged_names_sentence(first.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
-def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
+def _stable_point_mask(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
     """Flags (T,) of the common points that may define the frame (at least `held`): all, or the declared stable ones."""
     for name in stable or ():
         if name not in common:
@@ -129,43 +133,50 @@ def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, he
 class _Epoch:
     """Points (T, 3) of one epoch, their joint covariance (T a, T a), and free rigid motions (6, f).
 
-    `by_given` (T a, g) is the derivative of the points with respect to errors that the epochs may have in common, in
-    standard deviations.
+    `common_observation_response` (T a, g) is the derivative of the points with respect to errors that the epochs may
+    have in common, in standard deviations.
     """
 
-    names: Sequence[str]
+    point_names: Sequence[str]
     points: Floats
     covariance: Floats
-    by_given: Floats
-    free: Floats
+    common_observation_response: Floats
+    free_motions: Floats
 
     @classmethod
-    def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
-        columns = adjustment.problem.unknowns.target[at].reshape(1, -1)
-        reach = reach_of(adjustment, columns[0])
-        groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
+    def from_adjustment(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
+        columns = adjustment.problem.unknowns.target_columns[at].reshape(1, -1)
+        reach = displacement_per_row(adjustment, columns[0])
+        groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         names = [adjustment.recording.targets[i] for i in at]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
-        return cls(names, adjustment.state.points[at], covariance, np.hstack(given), adjustment.problem.free)
+        return cls(
+            names, adjustment.state.target_points[at], covariance, np.hstack(given), adjustment.problem.free_motions
+        )
 
     @classmethod
-    def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:
-        """Epoch of a list of coordinates with free motions `free` (6, f)."""
+    def from_coordinates(cls, coordinates: EpochCoordinates, common: Sequence[str], free: Floats) -> Self:
+        """Epoch of a list of coordinates with free motions `free_motions` (6, f)."""
         at = np.array([coordinates.names.index(name) for name in common])
-        rows = rows_of(at, len(coordinates.axes))
+        rows = coordinate_rows(at, len(coordinates.axes))
         return cls(
             common, coordinates.points[at], coordinates.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free
         )
 
     def reordered(self, order: Ints, axes: int) -> Self:
         """Epoch in which point i has the position of point `order[i]`."""
-        rows = rows_of(order, axes)
+        rows = coordinate_rows(order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
-        return replace(self, points=self.points[order], covariance=covariance, by_given=self.by_given[rows])
+        return replace(
+            self,
+            points=self.points[order],
+            covariance=covariance,
+            common_observation_response=self.common_observation_response[rows],
+        )
 
 
-def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
+def _common_observations(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
     """Groups of observations that are common to both epochs including their errors.
 
     Their declarations are equal in both epochs.
@@ -175,75 +186,80 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
-        common.append(PRIORS)
+        common.append(PRIOR_SOURCE)
     if (
         earlier.gauge is not None
         and later.gauge is not None
-        and _certificate(earlier.gauge) == _certificate(later.gauge)
+        and _certificate_lengths(earlier.gauge) == _certificate_lengths(later.gauge)
     ):
-        shared = [a.problem.gauge.shared for a in (first, second)]
-        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR))]
+        shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
+        common += [
+            LENGTHS_SOURCE,
+            *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR_PREFIX)),
+        ]
     control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
     if control[0] and control[0] == control[1]:
-        common.append(CONTROL)
+        common.append(CONTROL_SOURCE)
     return common
 
 
-def _certificate(gauge: Gauge) -> Gauge:
+def _certificate_lengths(gauge: Gauge) -> Gauge:
     """Reference lengths of a certificate, without their temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> EpochDifference:
+def _align_epochs(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = ALL_AXES) -> EpochDifference:
     """Differences of the second epoch, aligned to the first unless both frames are fixed, along `axes` (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
     middle = before[stable].mean(axis=0)
-    both = np.hstack([first.free, second.free])
+    both = np.hstack([first.free_motions, second.free_motions])
     free = scipy.linalg.orth(both) if both.shape[1] else both
     if free.shape[1] and len(axes) > 1:
         weights = stable.astype(np.float64)
-        for _ in range(ALIGNMENT_ROUNDS):
-            turn, shift = align(second.points, before, weights)
+        for _ in range(N_ALIGNMENT_ROUNDS):
+            turn, shift = align_rigidly(second.points, before, weights)
             after = second.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
             weights = stable / (off + np.median(off[stable]) + 1e-12)  # A point that moved must not turn the rest.
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first.by_given @ second.by_given.T @ big.T
+    shared = first.common_observation_response @ second.common_observation_response.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
-    motions = rigid_motion(before, middle)
-    motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = rigid_motion_design(before, middle)
+    motions = motions @ _motions_about(free, middle) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_UNIT_MOTION * np.abs(before - middle).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - middle).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
-    return EpochDifference(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
+    return EpochDifference(
+        first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled
+    )
 
 
-def _about(free: Floats, centre: Floats) -> Floats:
+def _motions_about(free: Floats, centre: Floats) -> Floats:
     """Motions (6, f) with rotations about a centre in place of the origin."""
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T
     return about
 
 
-RANK_DEFECT = 1e-7
+MAX_RELATIVE_EIGENVALUE = 1e-7
 """Ratio of an eigenvalue of the correlation matrix to the largest below which the covariance has a rank defect; files
 round to 1e-9.
 """
-PLACE_TAKEN = 0.1
+MAX_EXCHANGE_DISTANCE = 0.1
 """Largest distance, relative to the distance of two points, from each other's position at which their names count as
 exchanged.
 """
-OPEN_MOTIONS = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
+MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
 
 
-def open_motions(epoch: Coordinates) -> Floats:
+def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     """Rigid motions (6, f) that are free in an epoch, by the rank defect of its covariance.
 
     With inner constraints over all points the covariance has no variance along the motions. A datum of some points has
@@ -251,52 +267,56 @@ def open_motions(epoch: Coordinates) -> Floats:
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < RANK_DEFECT * values[-1]).sum())
+    defect = int((values < MAX_RELATIVE_EIGENVALUE * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     middle = epoch.points.mean(axis=0)
-    motions = rigid_motion(epoch.points, middle).reshape(len(epoch.points), 3, 6)[:, epoch.along].reshape(len(scale), 6)
+    motions = (
+        rigid_motion_design(epoch.points, middle)
+        .reshape(len(epoch.points), 3, 6)[:, epoch.axis_indices]
+        .reshape(len(scale), 6)
+    )
     moving = np.flatnonzero(np.linalg.norm(motions, axis=0) > 0)
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
-    still = directions[:, variance < RANK_DEFECT * scale.max() ** 2]
+    still = directions[:, variance < MAX_RELATIVE_EIGENVALUE * scale.max() ** 2]
     free_motions = np.zeros((6, still.shape[1]))
     free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:
-        usual = np.array(OPEN_MOTIONS.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
+        usual = np.array(MOTIONS_BY_RANK_DEFECT.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
         free_motions = np.eye(6)[:, usual[np.isin(usual, moving)]]
     free_motions[:3] += np.cross(middle, free_motions[3:].T).T  # turns about the middle as turns about the origin
     return free_motions
 
 
-def exchanged(gap: EpochDifference, moved: Sequence[int]) -> Ints | None:
+def exchanged_names(difference: EpochDifference, moved: Sequence[int]) -> Ints | None:
     """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
     Each of the `moved` points is at the first-epoch position of another one, far from its own.
     """
     if len(moved) < 2:
         return None
-    before = gap.places[moved][:, gap.axes]
-    after = before + gap.gap.reshape(gap.count, -1)[moved]
+    before = difference.first_epoch_points[moved][:, difference.compared_axes]
+    after = before + difference.differences.reshape(difference.n_points, -1)[moved]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
-    taken = (nearest != np.arange(len(moved))) & (gaps.min(axis=1) < PLACE_TAKEN * distance)
+    taken = (nearest != np.arange(len(moved))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE * distance)
     places = {moved[i]: moved[nearest[i]] for i in np.flatnonzero(taken).tolist()}
     if not places or set(places) != set(places.values()):
         return None
-    order = np.arange(gap.count)
+    order = np.arange(difference.n_points)
     order[list(places.values())] = list(places)
     return order
 
 
-def exchange_note(names: Sequence[str], order: Ints) -> str:
+def exchanged_names_sentence(names: Sequence[str], order: Ints) -> str:
     """Sentence on names that are exchanged in the second epoch."""
     changed = np.flatnonzero(order != np.arange(len(order)))
     names_changed = listing([names[i] for i in changed.tolist()], len(changed))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
-def datum_note(count: int) -> str:
+def undetermined_motions_note(count: int) -> str:
     """Note that `count` motions of the whole network are undetermined, and what was done."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "

@@ -4,102 +4,110 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjustment.structure import refusing_singular
-from ltsim.calibration.result import frame_of
+from ltsim.adjustment.structure import raise_for_singular_network
+from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
-from ltsim.measurands.inputs import Inputs
-from ltsim.measurands.measurands import Measurand, Output
+from ltsim.measurands.inputs import TaskInputs
+from ltsim.measurands.measurands import Measurand, TaskOutput
 from ltsim.measurands.propagation import (
-    MAX_CURVATURE,
+    MAX_CURVATURE_RATIO,
     LinearUncertainty,
     MonteCarloUncertainty,
-    curvature,
-    draw,
-    expansion_of,
+    curvature_differences,
+    part_expansion,
     propagate,
+    run_monte_carlo,
 )
 from ltsim.measurands.spec import Task, Tasks
-from ltsim.measurands.uncertainty import BudgetPart, Distribution, HiddenPart, TaskResult, Uncertainty, conformity
-from ltsim.recordings.coordinates import Coordinates
+from ltsim.measurands.uncertainty import (
+    BudgetPart,
+    Distribution,
+    HiddenPart,
+    TaskResult,
+    Uncertainty,
+    evaluate_conformity,
+)
+from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MIN_HIDDEN_SHARE = 0.2
+MIN_HIDDEN_FRACTION = 0.2
 """Smallest share of the standard uncertainty from which an error without effect on the readings is reported: it would
 add 2 % to the uncertainty.
 """
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation:
+class TaskEvaluation:
     """Results of propagation and Monte Carlo for the tasks on a recording, as arrays.
 
-    `result` is what `uncertainty` returns.
+    `to_result` is what `uncertainty` returns.
     """
 
     tasks: Tasks
-    inputs: Inputs
+    inputs: TaskInputs
     measurands: tuple[Measurand, ...]
     linear: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
-    drawn: MonteCarloUncertainty
+    monte_carlo: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
-    agrees: Bools
+    interval_agrees: Bools
     """Flags (k,) that the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
-    curved: Floats
+    curvature_ratios: Floats
     """Difference between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
 
     @property
-    def outputs(self) -> list[tuple[Task, Output]]:
+    def outputs(self) -> list[tuple[Task, TaskOutput]]:
         """Task and output of each of the k results, in order."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
     @property
     def warnings(self) -> list[str]:
         """Warnings on results that are less reliable than they appear, one sentence each."""
-        air = self.inputs.air
+        air = self.inputs.air_text
         warnings = [f"all budgets include the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
-            if self.curved[i] > MAX_CURVATURE:
-                gap = f"deviation {self.curved[i]:.2g} of the uncertainty"
+            if self.curvature_ratios[i] > MAX_CURVATURE_RATIO:
+                gap = f"deviation {self.curvature_ratios[i]:.2g} of the uncertainty"
                 warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
-            elif not self.agrees[i] and self.drawn.stable[i]:
+            elif not self.interval_agrees[i] and self.monte_carlo.is_stable[i]:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
-        if not self.drawn.stable.all():
-            count = int(np.sum(~self.drawn.stable))
+        if not self.monte_carlo.is_stable.all():
+            count = int(np.sum(~self.monte_carlo.is_stable))
             warnings.append(
-                f"{count} of {len(self.drawn.stable)} results are not stable to {self.tasks.monte_carlo.digits} digits "
-                f"after {self.drawn.trials} trials; raise most_trials, or ask for fewer digits"
+                f"{count} of {len(self.monte_carlo.is_stable)} results are not stable to "
+                f"{self.tasks.monte_carlo.digits} digits "
+                f"after {self.monte_carlo.n_trials} trials; raise most_trials, or ask for fewer digits"
             )
         return warnings
 
     @property
-    def result(self) -> Uncertainty:
+    def to_result(self) -> Uncertainty:
         """Result with values and uncertainties in the units of the tasks."""
         origin = self.inputs.origin
-        if isinstance(origin, Coordinates):
-            source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
+        if isinstance(origin, EpochCoordinates):
+            source, frame, sigma0 = SourceEntry.from_coordinates(origin), "that of the list of coordinates", None
         else:
-            source, frame, sigma0 = SourceEntry.of(origin.recording), frame_of(origin), origin.sigma0
+            source, frame, sigma0 = SourceEntry.from_recording(origin.recording), frame_text(origin), origin.sigma0
         return Uncertainty(
             recording=source,
             title=self.tasks.title,
             source=self.tasks.source,
             coverage=self.tasks.monte_carlo.coverage,
-            trials=self.drawn.trials,
+            trials=self.monte_carlo.n_trials,
             frame=frame,
             sigma0=sigma0,
-            results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.outputs)),
+            results=tuple(self._task_result(i, task, output) for i, (task, output) in enumerate(self.outputs)),
             correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
             warnings=tuple(self.warnings),
         )
 
-    def _result(self, i: int, task: Task, output: Output) -> TaskResult:
-        unit, drawn = output.factor, self.drawn
+    def _task_result(self, i: int, task: Task, output: TaskOutput) -> TaskResult:
+        unit, drawn = output.si_per_unit, self.monte_carlo
         value, sigma = float(self.linear.values[i]) / unit, float(self.linear.sigma[i]) / unit
-        wide = float(self.linear.expanded(self.tasks.monte_carlo.coverage)[i]) / unit
+        wide = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[i]) / unit
         tolerance, draws = task.tolerances.get(output.name), drawn.values[:, i] / unit
         return TaskResult(
             task=task.name,
@@ -111,35 +119,43 @@ class Evaluation:
             coverage_factor=wide / sigma if sigma > 0 else 0.0,
             expanded_uncertainty=wide,
             monte_carlo=Distribution(
-                mean=float(drawn.mean[i]) / unit,
-                standard_uncertainty=float(drawn.sigma[i]) / unit,
-                symmetric=(drawn.symmetric[i] / unit).tolist(),
-                shortest=(drawn.shortest[i] / unit).tolist(),
-                stable=bool(drawn.stable[i]),
-                agrees=bool(self.agrees[i]),
+                mean=float(drawn.means[i]) / unit,
+                standard_uncertainty=float(drawn.sigmas[i]) / unit,
+                symmetric=(drawn.symmetric_intervals[i] / unit).tolist(),
+                shortest=(drawn.shortest_intervals[i] / unit).tolist(),
+                stable=bool(drawn.is_stable[i]),
+                agrees=bool(self.interval_agrees[i]),
             ),
-            curvature=float(self.curved[i]),
-            budget=self._budget(i, sigma),
-            hidden=self._hidden(i, unit, sigma),
-            conformity=None if tolerance is None else conformity(value, sigma, tolerance, self.tasks.decision, draws),
+            curvature=float(self.curvature_ratios[i]),
+            budget=self._budget_parts(i, sigma),
+            hidden=self._hidden_errors(i, unit, sigma),
+            conformity=None
+            if tolerance is None
+            else evaluate_conformity(value, sigma, tolerance, self.tasks.decision, draws),
         )
 
-    def _hidden(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
-        """Errors without effect on readings that change a result by `MIN_HIDDEN_SHARE` of its uncertainty or more."""
+    def _hidden_errors(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
+        """Errors without effect on the readings that change a result by a relevant part of its uncertainty."""
         changes = {
-            name: abs(float(self.linear.by_points[i] @ moved)) / unit for name, moved in self.inputs.hidden.items()
+            name: abs(float(self.linear.point_derivatives[i] @ moved)) / unit
+            for name, moved in self.inputs.hidden_displacements.items()
         }
         ranked = sorted(changes, key=lambda name: -changes[name])
         return tuple(
-            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MIN_HIDDEN_SHARE * sigma
+            HiddenPart(source=name, change=changes[name])
+            for name in ranked
+            if changes[name] > MIN_HIDDEN_FRACTION * sigma
         )
 
-    def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
+    def _budget_parts(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
         """Budget of one result: sources with their fraction of its variance, the largest first.
 
         The fractions add up to 1.
         """
-        shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
+        shares, kinds = (
+            {name: float(share[i]) for name, share in self.linear.variance_by_source.items()},
+            self.linear.evaluation_types,
+        )
         total = sum(shares.values())
         ranked = [
             (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
@@ -150,25 +166,25 @@ class Evaluation:
         )
 
 
-@refusing_singular
-def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
+@raise_for_singular_network
+def evaluate_tasks(recording: Recording, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
-    return _evaluated(Inputs.of(recording, tasks), tasks)
+    return _evaluate(TaskInputs.from_recording(recording, tasks), tasks)
 
 
-def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
+def evaluate_listed_tasks(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on a list of coordinates with their covariance."""
-    return _evaluated(Inputs.listed(coordinates, tasks), tasks)
+    return _evaluate(TaskInputs.from_coordinates(coordinates, tasks), tasks)
 
 
 @single_threaded
-def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
+def _evaluate(inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on points with known covariance."""
-    measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
-    stretch = expansion_of(tasks.growth)
+    measurands = tuple(Measurand.from_task(task, inputs.target_names, inputs.points) for task in tasks.task)
+    stretch = part_expansion(tasks.growth)
     linear = propagate(inputs, measurands, stretch)
-    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo, linear)
-    gap = curvature(inputs, measurands, tasks.monte_carlo.seed)
+    drawn = run_monte_carlo(inputs, measurands, stretch, tasks.monte_carlo, linear)
+    gap = curvature_differences(inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
-    agrees = drawn.agrees(linear, tasks.monte_carlo.coverage)
-    return Evaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)
+    agrees = drawn.interval_agrees(linear, tasks.monte_carlo.coverage)
+    return TaskEvaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)

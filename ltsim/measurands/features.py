@@ -16,20 +16,21 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
 
-ITERATIONS = 60
+MAX_FIT_STEPS = 60
+"""Largest number of Gauss-Newton steps of a fit."""
 STEP_TOLERANCE = 1e-11
 """Largest step, relative to the extent of the points, at which an iteration has converged."""
-INITIAL_AXES = 60
+N_INITIAL_AXES = 60
 """Number of initial axes of a cylinder, distributed over a half sphere."""
 
 
 @dataclass(frozen=True)
-class Feature:
+class FittedFeature:
     """Fitted geometric feature."""
 
-    centre: Floats
+    reference_point: Floats
     """Point on the line, plane or axis (the foot of the centroid of the points), or the centre, (..., 3) [m]."""
-    normal: Floats
+    direction: Floats
     """Direction of the line or axis, or normal of the plane or of the circle's plane, a unit vector (..., 3); NaN for a
     sphere.
     """
@@ -41,19 +42,19 @@ class Feature:
     """
 
 
-MIN_POINTS = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
+MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
 """Smallest number of points that determine each feature."""
 
 
-def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
+def fit_feature(kind: str, points: Floats, start: FittedFeature | None = None) -> FittedFeature:
     """Least-squares feature for points (..., n, 3) [m]: line, plane, circle, sphere or cylinder.
 
-    `near` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the points do
+    `start` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the points do
     not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
-    if points.shape[-2] < MIN_POINTS[kind]:
-        raise ModelError(f"a {kind} needs at least {MIN_POINTS[kind]} points, not {points.shape[-2]}")
+    if points.shape[-2] < MIN_POINTS_BY_FEATURE[kind]:
+        raise ModelError(f"a {kind} needs at least {MIN_POINTS_BY_FEATURE[kind]} points, not {points.shape[-2]}")
     middle = points.mean(axis=-2, keepdims=True)
     local = points - middle
     extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
@@ -61,52 +62,56 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
         raise ModelError(f"the points of the {kind} coincide")
     local = local / extent[..., None, None]
     place, scale = middle[..., 0, :], extent[..., None]
-    if near is not None:
-        centre = (near.centre - place) / scale
-        near = Feature(centre, np.broadcast_to(near.normal, centre.shape), near.radius / extent, near.deviations)
-    feature = _FITS[kind](local, near)
-    return Feature(feature.centre * scale + place, feature.normal, feature.radius * extent, feature.deviations * scale)
+    if start is not None:
+        centre = (start.reference_point - place) / scale
+        start = FittedFeature(
+            centre, np.broadcast_to(start.direction, centre.shape), start.radius / extent, start.deviations
+        )
+    feature = _FIT_FUNCTIONS[kind](local, start)
+    return FittedFeature(
+        feature.reference_point * scale + place, feature.direction, feature.radius * extent, feature.deviations * scale
+    )
 
 
-def _fit_line(local: Floats, _near: Feature | None) -> Feature:
+def _fit_line(local: Floats, _near: FittedFeature | None) -> FittedFeature:
     _, s, v = np.linalg.svd(local, full_matrices=False)
-    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
+    _require_determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
     along = np.einsum("...ni,...i->...n", local, direction)
     side = local - along[..., None] * direction[..., None, :]
-    return _without_radius(direction, np.linalg.norm(side, axis=-1))
+    return _feature_without_radius(direction, np.linalg.norm(side, axis=-1))
 
 
-def _fit_plane(local: Floats, _near: Feature | None) -> Feature:
+def _fit_plane(local: Floats, _near: FittedFeature | None) -> FittedFeature:
     _, s, v = np.linalg.svd(local, full_matrices=False)
-    _determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
+    _require_determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
     normal = v[..., 2, :]
-    return _without_radius(normal, np.einsum("...ni,...i->...n", local, normal))
+    return _feature_without_radius(normal, np.einsum("...ni,...i->...n", local, normal))
 
 
-def _without_radius(normal: Floats, deviations: Floats) -> Feature:
-    return Feature(np.zeros_like(normal), normal, np.full(normal.shape[:-1], np.nan), deviations)
+def _feature_without_radius(normal: Floats, deviations: Floats) -> FittedFeature:
+    return FittedFeature(np.zeros_like(normal), normal, np.full(normal.shape[:-1], np.nan), deviations)
 
 
-def _fit_sphere(local: Floats, _near: Feature | None) -> Feature:
-    centre, radius = _algebraic(local)
-    for _ in range(ITERATIONS):
+def _fit_sphere(local: Floats, _near: FittedFeature | None) -> FittedFeature:
+    centre, radius = _algebraic_fit(local)
+    for _ in range(MAX_FIT_STEPS):
         arm = local - centre[..., None, :]
         length = np.linalg.norm(arm, axis=-1)
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
-        step = _step(design, length - radius[..., None], "sphere")
+        step = _least_squares_step(design, length - radius[..., None], "sphere")
         centre, radius = centre + step[..., :3], radius + step[..., 3]
         if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
-    return Feature(centre, np.full_like(centre, np.nan), radius, deviations)
+    return FittedFeature(centre, np.full_like(centre, np.nan), radius, deviations)
 
 
-def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
-    normal = _fit_plane(local, None).normal
-    centre, radius = _circle_across(local, normal)
-    for _ in range(ITERATIONS):
-        (first, second), height, x, y = _about(local, centre, normal)
+def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
+    normal = _fit_plane(local, None).direction
+    centre, radius = _projected_circle(local, normal)
+    for _ in range(MAX_FIT_STEPS):
+        (first, second), height, x, y = _axis_coordinates(local, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
         # The normal turns by (a, b): n + a first + b second; a point's height changes by a x + b y, its reach by
@@ -114,82 +119,90 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
         radial = np.stack([-c, -s, zero, -height * c, -height * s, -np.ones_like(x)], axis=-1)
         axial = np.stack([zero, zero, -np.ones_like(x), x, y, zero], axis=-1)
         gap = np.concatenate([reach - radius[..., None], height], axis=-1)
-        step = _step(np.concatenate([radial, axial], axis=-2), gap, "circle")
+        step = _least_squares_step(np.concatenate([radial, axial], axis=-2), gap, "circle")
         shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
         centre, radius = centre + shift, radius + step[..., 5]
-        normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
+        normal = _unit_vectors(normal + step[..., 3:4] * first + step[..., 4:5] * second)
         if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
-    _, height, x, y = _about(local, centre, normal)
+    _, height, x, y = _axis_coordinates(local, centre, normal)
     radial = np.hypot(x, y) - radius[..., None]
-    return Feature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
+    return FittedFeature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
-def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
+def _fit_cylinder(local: Floats, near: FittedFeature | None) -> FittedFeature:
     """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
     if near is not None:
-        return _refined_cylinder(local, near.normal, near.centre, near.radius)
+        return _refine_cylinder(local, near.direction, near.reference_point, near.radius)
     features = []
     for points in local.reshape(-1, *local.shape[-2:]):
-        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(INITIAL_AXES)])
+        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_AXES)])
         many = np.broadcast_to(points, (len(axes), *points.shape))
-        centre, radius = _circle_across(many, axes, strict=False)
-        gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
+        centre, radius = _projected_circle(many, axes, strict=False)
+        gap = np.hypot(*_axis_coordinates(many, centre, axes)[2:]) - radius[:, None]
         cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
         best = np.argsort(cost)[:6]
-        tried = _refined_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
+        tried = _refine_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
         size = np.nan_to_num(np.sum(tried.deviations**2, axis=-1), nan=np.inf)
         k = int(np.argmin(size))
-        _determined("cylinder", np.isfinite(size[k]), "determine no axis")
-        features.append(Feature(tried.centre[k], tried.normal[k], tried.radius[k], tried.deviations[k]))
+        _require_determined("cylinder", np.isfinite(size[k]), "determine no axis")
+        features.append(
+            FittedFeature(tried.reference_point[k], tried.direction[k], tried.radius[k], tried.deviations[k])
+        )
     parts = (np.stack(part) for part in zip(*map(astuple, features), strict=True))
-    return Feature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
+    return FittedFeature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
 
 
-def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True) -> Feature:
-    for _ in range(ITERATIONS):
-        (first, second), along, x, y = _about(local, centre, normal)
+def _refine_cylinder(
+    local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True
+) -> FittedFeature:
+    for _ in range(MAX_FIT_STEPS):
+        (first, second), along, x, y = _axis_coordinates(local, centre, normal)
         reach = np.maximum(np.hypot(x, y), 1e-300)
         c, s = x / reach, y / reach
         design = np.stack([-c, -s, -along * c, -along * s, -np.ones_like(x)], axis=-1)
-        step = _step(design, reach - radius[..., None], "cylinder", strict=strict)
+        step = _least_squares_step(design, reach - radius[..., None], "cylinder", strict=strict)
         size = np.abs(step).max(axis=-1, keepdims=True)
         step = step / np.maximum(size / 0.3, 1.0)  # A far start must not turn the axis over.
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
-        normal = _unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
+        normal = _unit_vectors(normal + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
         if np.nanmax(size, initial=0.0) < STEP_TOLERANCE:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
-    return Feature(centre, normal, radius, np.hypot(*_about(local, centre, normal)[2:]) - radius[..., None])
+    return FittedFeature(
+        centre, normal, radius, np.hypot(*_axis_coordinates(local, centre, normal)[2:]) - radius[..., None]
+    )
 
 
-def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
+def _axis_coordinates(
+    local: Floats, centre: Floats, normal: Floats
+) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
     """Two directions perpendicular to an axis, and coordinates (..., n) of points along axis and directions."""
-    sides = _across(normal)
+    sides = _perpendicular_vectors(normal)
     arm = local - centre[..., None, :]
     height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
     return sides, height, x, y
 
 
-def _circle_across(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+def _projected_circle(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
     """Centre (..., 3) and radius (...) of the algebraic circle through points projected along an axis."""
-    (first, second), _, x, y = _about(local, np.zeros_like(normal), normal)
-    middle, radius = _algebraic(np.stack([x, y], axis=-1), strict=strict)
+    (first, second), _, x, y = _axis_coordinates(local, np.zeros_like(normal), normal)
+    middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), strict=strict)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
-def _algebraic(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+def _algebraic_fit(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
     """Centre (..., d) and radius (...) from least squares of |p|^2 - 2 c p - k, which needs no start values."""
     design = np.concatenate([2.0 * local, np.ones((*local.shape[:-1], 1))], axis=-1)
     right = np.sum(local**2, axis=-1)
-    solution = -_step(design, right, "sphere" if local.shape[-1] == 3 else "circle", strict=strict)
+    solution = -_least_squares_step(design, right, "sphere" if local.shape[-1] == 3 else "circle", strict=strict)
     centre = solution[..., :-1]
     with np.errstate(invalid="ignore"):
         return centre, np.sqrt(solution[..., -1] + np.sum(centre**2, axis=-1))
 
 
-def _step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Floats:
+def _least_squares_step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Floats:
     """Least-squares step (..., k) for `gap` (..., m) and `design` (..., m, k).
 
     NaN, or an error if `strict`, for a singular design.
@@ -198,42 +211,42 @@ def _step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Flo
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
     whole = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
     if strict:
-        _determined(kind, whole, "do not determine it")
+        _require_determined(kind, whole, "do not determine it")
     r = np.where(whole[..., None, None], r, np.eye(r.shape[-1]))
     right = -np.einsum("...mk,...m->...k", q, gap)
     step = np.linalg.solve(r, right[..., None])[..., 0]
     return np.where(whole[..., None], step, np.nan)
 
 
-def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
+def _require_determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
     if not np.all(good):
         raise ModelError(f"the points of the {kind} {reason}")
 
 
-def _unit(vectors: Floats) -> Floats:
+def _unit_vectors(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _across(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (..., 3) that form a right-handed frame with `normal` and depend on it smoothly."""
+def _perpendicular_vectors(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (..., 3) that form a right-handed frame with `direction` and depend on it smoothly."""
     least = np.argmin(np.abs(normal.reshape(-1, 3)).mean(axis=0)) if normal.ndim > 1 else int(np.argmin(np.abs(normal)))
     helper = np.eye(3)[least]
     parallel = np.abs(normal @ helper)[..., None] > 0.95
     helper = np.where(parallel, np.eye(3)[(least + 1) % 3], helper)
-    first = _unit(np.cross(helper, normal))
+    first = _unit_vectors(np.cross(helper, normal))
     return first, np.cross(normal, first)
 
 
-def _half_sphere(count: int) -> Floats:
+def _half_sphere_directions(n_directions: int) -> Floats:
     """Directions (count, 3) distributed evenly over a half sphere (Fibonacci spiral)."""
-    i = np.arange(count) + 0.5
-    z = i / count
+    i = np.arange(n_directions) + 0.5
+    z = i / n_directions
     turn = i * np.pi * (3.0 - np.sqrt(5.0))
     flat = np.sqrt(1.0 - z**2)
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
-_FITS = {
+_FIT_FUNCTIONS = {
     "line": _fit_line,
     "plane": _fit_plane,
     "circle": _fit_circle,

@@ -11,43 +11,58 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import air_responses, common_responses, counted_air, longest_sight, reach_of
+from ltsim.adjustment.unmodelled import (
+    displacement_per_row,
+    displacements_by_air,
+    displacements_by_shared_air,
+    longest_range,
+    relevant_air,
+)
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.measurands.spec import Tasks, TypeB
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.physics.effects.air_gradient import AirGradient
-from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.physics.effects.effect import Effect, NoiseEffect, design_from_displacements
 from ltsim.physics.effects.station_weather import StationWeather
-from ltsim.physics.effects.verbs import effect_from
-from ltsim.physics.model.construction import declared_construction, ideal
-from ltsim.recordings.air import Air
-from ltsim.recordings.coordinates import Coordinates
+from ltsim.physics.effects.verbs import make_effect
+from ltsim.physics.model.construction import declared_construction, ideal_construction
+from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.reflectors import smr_names
 
-SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
+SIGMA_OF_UNIT_SIZE = {
+    "normal": 1.0,
+    "rectangular": 1 / np.sqrt(3),
+    "triangular": 1 / np.sqrt(6),
+    "arcsine": 1 / np.sqrt(2),
+}
 """Standard deviation of each distribution of unit size; the size of a normal distribution is its standard deviation."""
 
 
-LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
-"""Names of groups of observations; the last one is the prior of the instrument's constants."""
-STREAM_KEYS = {PRIORS: "what the maker guarantees"}
+LENGTHS_SOURCE = "known lengths"
+"""Name of the source: declared reference lengths."""
+CONTROL_SOURCE = "control points"
+"""Name of the source: control points."""
+PRIOR_SOURCE = "specification"
+"""Name of the source: prior of the instrument's constants."""
+STREAM_KEYS = {PRIOR_SOURCE: "what the maker guarantees"}
 """Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
 
 
 @dataclass(frozen=True)
-class Source(ValueEquality):
+class UncertaintySource(ValueEquality):
     """Source of uncertainty of the points."""
 
     name: str
-    kind: Literal["A", "B"]
+    evaluation_type: Literal["A", "B"]
     """Type of evaluation: ``A`` for repeated observations and for values declared with observations, ``B`` for all
     others.
     """
-    response: Floats
+    point_response: Floats
     """Displacement of the points for one standard deviation of each independent variate, (3 T, q) [m]."""
     distribution: str = "normal"
     """Distribution of the variates."""
@@ -55,59 +70,61 @@ class Source(ValueEquality):
     @property
     def covariance(self) -> Floats:
         """Covariance of the points from this source, (3 T, 3 T) [m^2]."""
-        return self.response @ self.response.T
+        return self.point_response @ self.point_response.T
 
 
 @dataclass(frozen=True)
-class Inputs(ValueEquality):
+class TaskInputs(ValueEquality):
     """Estimated points and the sources of their uncertainty."""
 
-    origin: Adjustment | Coordinates
+    origin: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
-    targets: tuple[str, ...]
+    target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
     points: Floats
     """Coordinates of the points, (T, 3) [m]."""
-    reach: Floats
+    point_response: Floats
     """Displacement of the points per unit of each whitened row of the adjustment, (m, 3 T) [m]."""
-    sources: tuple[Source, ...]
-    air: str = ""
+    sources: tuple[UncertaintySource, ...]
+    air_text: str = ""
     """Text of the air in the sources; empty for short ranges."""
-    hidden: dict[str, Floats] = field(default_factory=dict)
+    hidden_displacements: dict[str, Floats] = field(default_factory=dict)
     """Displacements (3 T,) [m] by one standard deviation of each error without effect on the readings; not in the
     sources.
     """
 
     @classmethod
-    def of(cls, recording: Recording, tasks: Tasks) -> Self:
+    def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
         """Points of the tasks from an adjusted recording, with the sources of their uncertainty.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or SetupError for an unknown
         target or effect.
         """
-        construction = declared_construction(recording) if tasks.calibrate else ideal()
+        construction = declared_construction(recording) if tasks.calibrate else ideal_construction()
         adjustment = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
         adjustment.solution.require_success()
-        names = _used(tasks)
+        names = _target_names(tasks)
         for name in names:
             if name not in recording.targets:
                 raise unknown_name("target", name, recording.targets)
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
-        reach = reach_of(adjustment, adjustment.problem.unknowns.target[at].ravel())
-        observed = [replace(s, response=_compact(s.response)) for s in observed_sources(adjustment, reach)]
+        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[at].ravel())
+        observed = [
+            replace(s, point_response=_reduce_variates(s.point_response)) for s in observed_sources(adjustment, reach)
+        ]
         observed += smr_sources(adjustment, reach)
-        further = [_type_b(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        air = _air_of(tasks, adjustment)
-        counted = counted_air(adjustment, air)
+        further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
+        air = _air_of_budget(tasks, adjustment)
+        counted = relevant_air(adjustment, air)
         further += air_sources(adjustment, reach, counted) if counted else []
-        words = air_words(counted, longest_sight(adjustment)) if counted else ""
-        hidden = common_responses(adjustment, reach, air)
-        return cls(adjustment, names, adjustment.state.points[at], reach, (*observed, *further), words, hidden)
+        words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
+        hidden = displacements_by_shared_air(adjustment, reach, air)
+        return cls(adjustment, names, adjustment.state.target_points[at], reach, (*observed, *further), words, hidden)
 
     @classmethod
-    def listed(cls, coordinates: Coordinates, tasks: Tasks) -> Self:
+    def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
         """Points of the tasks from a list of coordinates, whose only source of uncertainty is its joint covariance.
 
         Raises ModelError for points or axes that the list lacks, and for sources that act on readings.
@@ -116,7 +133,7 @@ class Inputs(ValueEquality):
             raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
         if len(coordinates.axes) < 3:
             raise ModelError(f"the list has only {coordinates.axes}; tasks need x, y and z")
-        names = _used(tasks)
+        names = _target_names(tasks)
         for name in names:
             if name not in coordinates.names:
                 raise unknown_name("target", name, coordinates.names)
@@ -124,7 +141,7 @@ class Inputs(ValueEquality):
         rows = (3 * at[:, None] + np.arange(3)).ravel()
         values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(rows, rows)])
         reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        source = Source(f"coordinates of {coordinates.title}", "A", reach.T)
+        source = UncertaintySource(f"coordinates of {coordinates.title}", "A", reach.T)
         return cls(coordinates, names, coordinates.points[at], reach, (source,))
 
     @property
@@ -133,121 +150,130 @@ class Inputs(ValueEquality):
         return np.sum([source.covariance for source in self.sources], axis=0)
 
 
-def _used(tasks: Tasks) -> tuple[str, ...]:
+def _target_names(tasks: Tasks) -> tuple[str, ...]:
     """Names of the points that tasks use."""
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
-def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
     """Sources of the groups of observations, with one variate per row; rows that only define the frame have none.
 
     Shared errors of reference lengths (expansion coefficient, thermometer) are separate sources, as are the nuisance
     errors with a prior that the adjustment estimates (heads, reflectors, groups of readings).
     """
     problem = adjustment.problem
-    observable = np.nonzero(problem.use)[1]
+    observable = np.nonzero(problem.used_readings)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
-    gauge, at = problem.gauge, len(observable)
-    by_length = reach[at : at + len(gauge)].T
+    gauge, at = problem.gauge_rows, len(observable)
+    by_length = point_response[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
-        (CONTROL, problem.control.count + problem.mark_control.count),
-        ("known differences", problem.differences.count),
-        ("levels", 2 * len(problem.levels)),
-        ("orientations", len(problem.yaws)),
-        ("", problem.structure.held),
-        (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
+        (CONTROL_SOURCE, problem.control_rows.n_coordinates + problem.mark_control_rows.n_coordinates),
+        ("known differences", problem.difference_rows.n_coordinates),
+        ("levels", 2 * len(problem.level_rows)),
+        ("orientations", len(problem.yaw_rows)),
+        ("", problem.structure.n_fixed),
+        (PRIOR_SOURCE, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
-    sources = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
+    sources = [UncertaintySource(name, "A", point_response[rows].T) for name, rows in groups if name and len(rows)]
     if len(gauge):
-        lengths = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
+        lengths = UncertaintySource(
+            LENGTHS_SOURCE, "A", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
+        )
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
-    shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
-    sources += [Source(name, "B", response[:, None]) for name, response in shared]
-    return [*sources, *_sources_of_certificates(adjustment, reach[at:])]
+    shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_changes.items())
+    sources += [UncertaintySource(name, "B", response[:, None]) for name, response in shared]
+    return [*sources, *_nuisance_sources(adjustment, point_response[at:])]
 
 
-def _sources_of_certificates(adjustment: Adjustment, reach: Floats) -> list[Source]:
-    """Sources of nuisance errors with a prior, by kind; `reach` begins with the rows of the additional effects."""
+def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
+    """Sources of nuisance errors with a prior, by kind.
+
+    `point_response` begins with the rows of the additional effects.
+    """
     model = adjustment.problem.model
-    finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
+    finite = np.isfinite(adjustment.problem.extra_sigma[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
-    for error in model.nuisances:
+    for error in model.nuisance_errors:
         count = len(error.parameters)
-        reached.setdefault(error.parameters[0].meaning, []).append(reach[at : at + count].T)
+        reached.setdefault(error.parameters[0].description, []).append(point_response[at : at + count].T)
         at += count
-    return [Source(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
+    return [UncertaintySource(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
 
-def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
     """Sources of the radii of SMRs with a declared standard deviation.
 
     All pointings of an SMR share one error, along the normals.
     """
-    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
-    rows, columns = np.nonzero(problem.use)
-    normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
+    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
+    rows, columns = np.nonzero(problem.used_readings)
+    normal = np.nan_to_num(sightings.nest_normals)[sightings.target]
     sources = []
     for name, reflector in adjustment.recording.setup.reflectors.items():
         off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
         if np.any(off):
-            change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
-            sources.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
+            change = (
+                design_from_displacements(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+            )
+            sources.append(
+                UncertaintySource(f"radius of {name}", "B", (point_response[: len(rows)].T @ change)[:, None])
+            )
     return sources
 
 
-def _air_of(tasks: Tasks, adjustment: Adjustment) -> Air:
+def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
     """Air of a budget, without the properties that tasks declare themselves."""
     declared = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
-    air = tasks.air or adjustment.recording.setup.air or Air()
+    air = tasks.air or adjustment.recording.setup.air or AirUncertainty()
     return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
 
 
-def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
+def air_sources(adjustment: Adjustment, point_response: Floats, air: AirUncertainty) -> list[UncertaintySource]:
     """Sources of the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
-    responses = air_responses(adjustment, reach, air)
-    return [Source(name, "B", _compact(response)) for name, response in responses.items()]
+    responses = displacements_by_air(adjustment, point_response, air)
+    return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
-def _compact(response: Floats) -> Floats:
+def _reduce_variates(response: Floats) -> Floats:
     """Response with the same covariance and at most as many variates as coordinates."""
     if response.shape[1] <= response.shape[0]:
         return response
     return np.asarray(np.linalg.qr(response.T, mode="r")).T
 
 
-def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) -> Source:
-    effect, sizes = _effect(adjustment.recording, entry, number)
-    sigma = sizes * SPREAD[entry.distribution]
+def _type_b_source(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) -> UncertaintySource:
+    effect, sizes = _effect_and_sizes(adjustment.recording, entry, number)
+    sigma = sizes * SIGMA_OF_UNIT_SIZE[entry.distribution]
     problem = adjustment.problem
-    rows, columns = np.nonzero(problem.use)
+    rows, columns = np.nonzero(problem.used_readings)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened = design / problem.sigma[rows, columns][:, None]
-    group = _shares(adjustment.recording, entry.shared)[rows]
+    group = _draw_groups(adjustment.recording, entry.shared)[rows]
     response = np.zeros((reach.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
         response[:, g] = reach[mine].T @ whitened[mine]
-    gauge = problem.gauge
-    lengths = effect.gauge_design(gauge.first, gauge.second, adjustment.state.points) * sigma
+    gauge = problem.gauge_rows
+    lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, adjustment.state.target_points) * sigma
     if np.any(lengths):
         if entry.shared != "all":
             raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
-        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.whitened(lengths)
+        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
         raise SetupError(f"type_b.{number}: {entry.effect} acts on no reading that the tasks depend on")
     place = ", ".join(entry.stations + entry.targets)
     name = entry.name or (f"{entry.effect} at {place}" if place else entry.effect)
-    return Source(name, "B", response.reshape(len(response), -1), entry.distribution)
+    return UncertaintySource(name, "B", response.reshape(len(response), -1), entry.distribution)
 
 
-def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
+def _effect_and_sizes(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
     """Effect of an entry, and the sizes (p,) [SI] of its parameters."""
     try:
-        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+        effect = make_effect(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
     except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
@@ -265,10 +291,10 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
         raise SetupError(f"type_b.{number}.sizes: {unknown_name('parameter', wrong[0], names)}")
     if not entry.sizes:
         return effect, np.array([p.prior_sigma for p in effect.parameters])
-    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.factor for p in effect.parameters])
+    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
 
 
-def _shares(recording: Recording, shared: str) -> Ints:
+def _draw_groups(recording: Recording, scope: str) -> Ints:
     """Group numbers (n,) of the pointings; those with equal numbers share one draw."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
@@ -276,4 +302,4 @@ def _shares(recording: Recording, shared: str) -> Ints:
         "instrument": recording.instrument,
         "target": recording.target,
         "pointing": np.arange(len(recording)),
-    }[shared]
+    }[scope]

@@ -10,29 +10,29 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import DEGREE, MILLIMETRE, PPM
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.alignment import best_fit
-from ltsim.measurands.features import Feature, fit
+from ltsim.geometry.alignment import align_with_scale
+from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
 
-STEP = 1e-5
+DIFFERENCE_STEP = 1e-5
 """Half the step [m] of central differences; errors by rounding and curvature are far below a nanometre."""
 
 
 @dataclass(frozen=True)
-class Output:
+class TaskOutput:
     """Result of a task: name, unit, and the unit in SI."""
 
     name: str
     unit: str
-    factor: float
+    si_per_unit: float
 
 
-def _mm(*names: str) -> list[Output]:
-    return [Output(name, "mm", MILLIMETRE) for name in names]
+def _outputs_in_mm(*names: str) -> list[TaskOutput]:
+    return [TaskOutput(name, "mm", MILLIMETRE) for name in names]
 
 
-def _deg(*names: str) -> list[Output]:
-    return [Output(name, "deg", DEGREE) for name in names]
+def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
+    return [TaskOutput(name, "deg", DEGREE) for name in names]
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class Measurand(ValueEquality):
     """Measurand: a task applied to points of a network."""
 
     task: Task
-    at: Ints
+    target_indices: Ints
     """Indices of its targets among the network's points, (k,)."""
-    near: Feature | None = field(default=None, repr=False)
+    reference_feature: FittedFeature | None = field(default=None, repr=False)
     """Feature fitted to the estimated points, the start of all further fits and the reference for signs."""
 
     @classmethod
-    def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
+    def from_task(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
         """Measurand of a task on targets at points (T, 3) [m].
 
         Raises ModelError for an unknown or undetermined target, and if the points do not determine the feature.
@@ -59,7 +59,7 @@ class Measurand(ValueEquality):
         if lost:
             raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
         try:
-            near = fit(task.kind, points[at]) if task.kind in _PARTS else None
+            near = fit_feature(task.kind, points[at]) if task.kind in _FEATURE_OUTPUTS else None
             measurand = cls(task, at, near)
             measurand.values(points)
         except (ModelError, NetworkError) as problem:
@@ -72,19 +72,21 @@ class Measurand(ValueEquality):
         return measurand
 
     @property
-    def outputs(self) -> list[Output]:
+    def outputs(self) -> list[TaskOutput]:
         """Results of the task in order: name and unit."""
         kind = self.task.kind
-        if kind in _OUTPUTS:
-            return _OUTPUTS[kind]
+        if kind in _OUTPUTS_BY_KIND:
+            return _OUTPUTS_BY_KIND[kind]
         if kind == "deviation":
-            return _mm(*(f"{name}.{part}" for name in self.task.targets for part in ("dx", "dy", "dz", "distance")))
-        scale = [Output("scale", "ppm", PPM)] if self.task.scale else []
-        return [*_mm("x", "y", "z"), *_deg("turn-x", "turn-y", "turn-z"), *scale]
+            return _outputs_in_mm(
+                *(f"{name}.{part}" for name in self.task.targets for part in ("dx", "dy", "dz", "distance"))
+            )
+        scale = [TaskOutput("scale", "ppm", PPM)] if self.task.scale else []
+        return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
     def values(self, points: Floats, stretch: Floats | float = 1.0) -> Floats:
         """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by its `stretch` (...)."""
-        chosen = points[..., self.at, :]
+        chosen = points[..., self.target_indices, :]
         middle = chosen.mean(axis=-2, keepdims=True)
         chosen = middle + (chosen - middle) / np.asarray(stretch)[..., None, None]
         kind = self.task.kind
@@ -97,56 +99,56 @@ class Measurand(ValueEquality):
         if kind == "distance":
             return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
-            return _angle(chosen)[..., None]
-        if kind in _PARTS:
-            return self._feature(chosen)
-        return self._fitted(chosen)
+            return _angle_of_points(chosen)[..., None]
+        if kind in _FEATURE_OUTPUTS:
+            return self._feature_values(chosen)
+        return self._fit(chosen)
 
-    def by_points(self, points: Floats, stretch: float = 1.0) -> Floats:
+    def point_derivatives(self, points: Floats, stretch: float = 1.0) -> Floats:
         """Derivative (k, 3 T) of the results with respect to points (T, 3), by central differences."""
-        count = 3 * len(self.at)
-        columns = (3 * self.at[:, None] + np.arange(3)).ravel()
+        count = 3 * len(self.target_indices)
+        columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * count, points.size))
-        steps[np.arange(count), columns] = STEP
-        steps[count + np.arange(count), columns] = -STEP
+        steps[np.arange(count), columns] = DIFFERENCE_STEP
+        steps[count + np.arange(count), columns] = -DIFFERENCE_STEP
         values = self.values(points + steps.reshape(2 * count, *points.shape), stretch)
         change = np.zeros((values.shape[1], points.size))
-        change[:, columns] = (values[:count] - values[count:]).T / (2 * STEP)
+        change[:, columns] = (values[:count] - values[count:]).T / (2 * DIFFERENCE_STEP)
         return change
 
-    def by_stretch(self, points: Floats, stretch: float = 1.0) -> Floats:
+    def stretch_derivatives(self, points: Floats, stretch: float = 1.0) -> Floats:
         """Derivative (k,) of the results with respect to the stretch."""
-        both = np.array([stretch + STEP, stretch - STEP])
+        both = np.array([stretch + DIFFERENCE_STEP, stretch - DIFFERENCE_STEP])
         values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
-        return (values[0] - values[1]) / (2 * STEP)
+        return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)
 
-    def _feature(self, chosen: Floats) -> Floats:
-        task, near = self.task, self.near
-        feature = fit(task.kind, chosen, near)
-        normal = feature.normal
+    def _feature_values(self, chosen: Floats) -> Floats:
+        task, near = self.task, self.reference_feature
+        feature = fit_feature(task.kind, chosen, near)
+        normal = feature.direction
         if near is not None and task.kind != "sphere":
-            normal = normal * np.sign(np.einsum("...i,i->...", normal, near.normal))[..., None]
+            normal = normal * np.sign(np.einsum("...i,i->...", normal, near.direction))[..., None]
         # The zone that holds all deviations: a diameter for a line, peak to valley for the others.
         form = 2.0 * feature.deviations.max(axis=-1) if task.kind == "line" else np.ptp(feature.deviations, axis=-1)
         diameter = 2.0 * (feature.radius + task.radius_offset_mm * MILLIMETRE)
         parts = {
-            "centre": feature.centre,
+            "centre": feature.reference_point,
             "normal": normal,
             "diameter": diameter[..., None],
             "form": form[..., None],
-            "offset": np.einsum("...i,...i->...", normal, feature.centre)[..., None],
+            "offset": np.einsum("...i,...i->...", normal, feature.reference_point)[..., None],
         }
-        return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
+        return np.concatenate([parts[name] for name in _FEATURE_OUTPUTS[task.kind]], axis=-1)
 
-    def _fitted(self, chosen: Floats) -> Floats:
+    def _fit(self, chosen: Floats) -> Floats:
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.fit:
-            return _gaps(chosen - nominal)
-        rotation, shift, scale = best_fit(nominal, chosen, scaled=task.scale)
+            return _distances(chosen - nominal)
+        rotation, shift, scale = align_with_scale(nominal, chosen, with_scale=task.scale)
         if task.kind == "deviation":
             back = np.einsum("...ji,...nj->...ni", rotation, chosen - shift[..., None, :]) / scale[..., None, None]
-            return _gaps(back - nominal)
+            return _distances(back - nominal)
         from scipy.spatial.transform import Rotation  # slow to load
 
         turn = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(shift.shape)
@@ -154,7 +156,7 @@ class Measurand(ValueEquality):
         return np.concatenate([shift, turn, *ratio], axis=-1)
 
 
-def _angle(chosen: Floats) -> Floats:
+def _angle_of_points(chosen: Floats) -> Floats:
     first, second = chosen[..., 0, :] - chosen[..., 1, :], chosen[..., 2, :] - chosen[..., 1, :]
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
@@ -162,28 +164,28 @@ def _angle(chosen: Floats) -> Floats:
     return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 
-def _gaps(gap: Floats) -> Floats:
+def _distances(gap: Floats) -> Floats:
     rows = np.concatenate([gap, np.linalg.norm(gap, axis=-1, keepdims=True)], axis=-1)
     return rows.reshape(*gap.shape[:-2], -1)
 
 
-_PARTS = {
+_FEATURE_OUTPUTS = {
     "line": ("normal", "form"),
     "plane": ("normal", "offset", "form"),
     "circle": ("centre", "diameter", "normal", "form"),
     "sphere": ("centre", "diameter", "form"),
     "cylinder": ("normal", "diameter", "form"),
 }
-_DIRECTION = [Output(f"direction-{axis}", "", 1.0) for axis in "xyz"]
-_NORMAL = [Output(f"normal-{axis}", "", 1.0) for axis in "xyz"]
-_OUTPUTS = {
-    "point": _mm("x", "y", "z"),
-    "rod": _mm("x", "y", "z"),
-    "distance": _mm("distance"),
-    "angle": _deg("angle"),
-    "line": [*_DIRECTION, *_mm("straightness")],
-    "plane": [*_NORMAL, *_mm("offset", "flatness")],
-    "circle": [*_mm("x", "y", "z", "diameter"), *_NORMAL, *_mm("roundness")],
-    "sphere": _mm("x", "y", "z", "diameter", "sphericity"),
-    "cylinder": [*_DIRECTION, *_mm("diameter", "cylindricity")],
+_DIRECTION_OUTPUTS = [TaskOutput(f"direction-{axis}", "", 1.0) for axis in "xyz"]
+_NORMAL_OUTPUTS = [TaskOutput(f"normal-{axis}", "", 1.0) for axis in "xyz"]
+_OUTPUTS_BY_KIND = {
+    "point": _outputs_in_mm("x", "y", "z"),
+    "rod": _outputs_in_mm("x", "y", "z"),
+    "distance": _outputs_in_mm("distance"),
+    "angle": _outputs_in_degrees("angle"),
+    "line": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("straightness")],
+    "plane": [*_NORMAL_OUTPUTS, *_outputs_in_mm("offset", "flatness")],
+    "circle": [*_outputs_in_mm("x", "y", "z", "diameter"), *_NORMAL_OUTPUTS, *_outputs_in_mm("roundness")],
+    "sphere": _outputs_in_mm("x", "y", "z", "diameter", "sphericity"),
+    "cylinder": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("diameter", "cylindricity")],
 }

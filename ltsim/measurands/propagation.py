@@ -19,28 +19,34 @@ from ltsim.adjustment import adjust
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.expansion import Expansion
-from ltsim.measurands.inputs import STREAM_KEYS, Inputs
+from ltsim.geometry.expansion import ThermalExpansion
+from ltsim.measurands.inputs import STREAM_KEYS, TaskInputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarlo, PartExpansion
-from ltsim.recordings.coordinates import Coordinates
+from ltsim.recordings.coordinates import EpochCoordinates
 
-CHECKS = 8
-MAX_CURVATURE = 0.05
+N_CURVATURE_CHECKS = 8
+"""Number of random errors with which the curvature is examined."""
+MAX_CURVATURE_RATIO = 0.05
 """Difference between the exact and the linear adjustment, in standard uncertainties, from which it is reported."""
 
 
-def expansion_of(growth: PartExpansion | None) -> Expansion:
+def part_expansion(growth: PartExpansion | None) -> ThermalExpansion:
     """Expansion of the part from calibration to measurement, as an input quantity."""
     if growth is None:
-        return Expansion()
+        return ThermalExpansion()
     kelvin = growth.measured_c - growth.reference_c
-    return Expansion.of(growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k)
+    return ThermalExpansion.from_temperature(
+        growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k
+    )
 
 
-def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
+def expansion_errors(stretch: ThermalExpansion) -> list[tuple[str, float]]:
     """Names and sizes of the errors of the part's expansion."""
-    named = [("expansion of the part", stretch.by_coefficient), ("temperature of the part", stretch.by_temperature)]
+    named = [
+        ("expansion of the part", stretch.change_by_coefficient),
+        ("temperature of the part", stretch.change_by_temperature),
+    ]
     return [(name, change) for name, change in named if change]
 
 
@@ -52,13 +58,13 @@ class LinearUncertainty(ValueEquality):
     """Results of all tasks, in sequence, (k,) [SI]."""
     covariance: Floats
     """Covariance of the results, (k, k)."""
-    shares: dict[str, Floats]
+    variance_by_source: dict[str, Floats]
     """Variance of each result by source, (k,); the values add up to the diagonal of the covariance."""
-    kinds: dict[str, Literal["A", "B"]]
+    evaluation_types: dict[str, Literal["A", "B"]]
     """Type of evaluation of each source, ``A`` or ``B``."""
-    by_points: Floats
+    point_derivatives: Floats
     """Derivative of the results with respect to the points, (k, 3 T)."""
-    by_stretch: Floats
+    stretch_derivatives: Floats
     """Derivative of the results with respect to the part's expansion, (k,)."""
 
     @property
@@ -66,7 +72,7 @@ class LinearUncertainty(ValueEquality):
         """Standard uncertainty of each result, (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def expanded(self, coverage: float) -> Floats:
+    def expanded_uncertainty(self, coverage: float) -> Floats:
         """Expanded uncertainty (k,) for a coverage probability, of each result separately (normal distribution)."""
         return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
 
@@ -78,21 +84,21 @@ class LinearUncertainty(ValueEquality):
         return correlation
 
 
-def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> LinearUncertainty:
+def propagate(inputs: TaskInputs, measurands: Sequence[Measurand], stretch: ThermalExpansion) -> LinearUncertainty:
     """First-order propagation of all sources through adjustment and tasks."""
     points = inputs.points
-    values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
-    by_points = np.concatenate([m.by_points(points, stretch.factor) for m in measurands])
-    by_stretch = np.concatenate([m.by_stretch(points, stretch.factor) for m in measurands])
+    values = np.concatenate([m.values(points, stretch.length_ratio) for m in measurands])
+    by_points = np.concatenate([m.point_derivatives(points, stretch.length_ratio) for m in measurands])
+    by_stretch = np.concatenate([m.stretch_derivatives(points, stretch.length_ratio) for m in measurands])
     covariance = np.zeros((len(values), len(values)))
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
     for source in inputs.sources:
-        reached = by_points @ source.response
+        reached = by_points @ source.point_response
         covariance += reached @ reached.T
         shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
-        kinds[source.name] = source.kind
-    for name, sigma in parts_of(stretch):
+        kinds[source.name] = source.evaluation_type
+    for name, sigma in expansion_errors(stretch):
         reached = by_stretch * sigma
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
@@ -100,20 +106,20 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
     return LinearUncertainty(values, covariance, shares, kinds, by_points, by_stretch)
 
 
-def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+def curvature_differences(inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
     """Largest difference (k,) [SI] between the exact and the linear change of each result.
 
     The adjustment is repeated with a few noise draws. The difference is zero for a list of coordinates, whose readings
     are not available.
     """
     origin = inputs.origin
-    if isinstance(origin, Coordinates):
+    if isinstance(origin, EpochCoordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = origin.recording, origin.problem
-    at = [recording.targets.index(name) for name in inputs.targets]
-    used, count = problem.use, int(problem.use.sum())
+    at = [recording.targets.index(name) for name in inputs.target_names]
+    used, count = problem.used_readings, int(problem.used_readings.sum())
     worst = np.zeros(sum(len(m.outputs) for m in measurands))
-    for i in range(CHECKS):
+    for i in range(N_CURVATURE_CHECKS):
         noise = stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
         readings[used] += noise * problem.sigma[used]
@@ -121,27 +127,30 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
             recording.with_readings(readings),
             origin.construction,
             sigma=problem.sigma,
-            use=problem.use,
+            reading_mask=problem.used_readings,
             start=origin.state,
-            datum=origin.datum.names if origin.datum is not None else None,
+            datum=origin.datum.point_names if origin.datum is not None else None,
         )
-        shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
+        shift = (noise @ inputs.point_response[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
-        exact = np.concatenate([m.values(again.state.points[at]) for m in measurands])
+        exact = np.concatenate([m.values(again.state.target_points[at]) for m in measurands])
         worst = np.maximum(worst, np.abs(exact - linear))
     return worst
 
 
-BATCH = 10_000
+TRIALS_PER_BATCH = 10_000
+"""Number of trials after which the stability of the results is examined."""
 TRIALS_PER_CALL = 1_000
 """Number of trials that are evaluated together, for speed at moderate memory."""
-TOLERANCE_RATIO = 5.0
+MIN_TOLERANCE_RATIO = 5.0
 """Ratio of the tolerance to the numerical error of results that are compared with it (clause 8.2)."""
-MAX_NON_NORMAL_SHARE = 1e-9
+MAX_NON_NORMAL_FRACTION = 1e-9
 """Fraction of a variance below which non-normal variates are neglected in a sum."""
-STEP, STEPS = 0.05, 40_000
-"""Step per standard deviation, and number of steps, of the integral over the characteristic function."""
-CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
+INTEGRATION_STEP = 0.05
+"""Step, in inverse standard deviations, of the integral over the characteristic function."""
+N_INTEGRATION_STEPS = 40_000
+"""Number of steps of the integral over the characteristic function."""
+CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
     "arcsine": lambda t: special.j0(np.sqrt(2.0) * t),
@@ -155,135 +164,147 @@ class MonteCarloUncertainty(ValueEquality):
 
     values: Floats
     """Results of all trials, (trials, k)."""
-    mean: Floats
-    sigma: Floats
-    """Mean and standard deviation of each result, (k,)."""
-    symmetric: Floats
-    shortest: Floats
-    """Coverage intervals of each result, (k, 2): probabilistically symmetric, and shortest."""
-    error: Floats
+    means: Floats
+    """Mean of each result, (k,)."""
+    sigmas: Floats
+    """Standard deviation of each result, (k,)."""
+    symmetric_intervals: Floats
+    """Probabilistically symmetric coverage interval of each result, (k, 2)."""
+    shortest_intervals: Floats
+    """Shortest coverage interval of each result, (k, 2)."""
+    numerical_errors: Floats
     """Numerical error (two standard deviations) of the limits of the symmetric interval, (k,)."""
-    stable: Bools
+    is_stable: Bools
     """Flags (k,) of the results that are stable to the requested digits."""
-    tolerance: Floats
+    tolerances: Floats
     """Numerical tolerance (k,): half a unit in the last requested digit of the standard uncertainty (clause 7.9.2)."""
 
     @property
-    def trials(self) -> int:
+    def n_trials(self) -> int:
         """Number of trials."""
         return len(self.values)
 
-    def agrees(self, linear: LinearUncertainty, coverage: float) -> Bools:
+    def interval_agrees(self, linear: LinearUncertainty, coverage: float) -> Bools:
         """Flags (k,) that the limits of the linear interval agree with those of the distribution (clause 8).
 
         The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
         """
-        expanded = linear.expanded(coverage)
+        expanded = linear.expanded_uncertainty(coverage)
         ends = np.stack([linear.values - expanded, linear.values + expanded], axis=1)
-        allowed = self.tolerance + self.error
-        return np.all(np.abs(ends - self.symmetric) <= allowed[:, None], axis=1)
+        allowed = self.tolerances + self.numerical_errors
+        return np.all(np.abs(ends - self.symmetric_intervals) <= allowed[:, None], axis=1)
 
 
-def draw(
-    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: LinearUncertainty
+def run_monte_carlo(
+    inputs: TaskInputs,
+    measurands: Sequence[Measurand],
+    stretch: ThermalExpansion,
+    settings: MonteCarlo,
+    linear: LinearUncertainty,
 ) -> MonteCarloUncertainty:
     """Distribution from trials until all results are known to a fifth of their tolerance, or up to a number."""
-    exact = _linear_figures(inputs, linear, settings.coverage)
+    exact = _linear_statistics(inputs, linear, settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    most = max(settings.most_trials // BATCH, 1)
+    most = max(settings.most_trials // TRIALS_PER_BATCH, 1)
     uncertain = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
     power = np.floor(np.log10(np.where(uncertain, linear.sigma, 1.0))) - (settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear.values)), np.inf)
-    while len(samples) < most and not np.all(TOLERANCE_RATIO * error <= tolerance):
-        shift, grown = _errors(inputs, stretch, settings.seed, len(samples))
-        by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
-        points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
-        samples.append(_results(measurands, points, stretch.factor + grown))
-        figures.append(_figures(samples[-1], settings.coverage) - _figures(by_line, settings.coverage))
+    while len(samples) < most and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
+        shift, grown = _draw_errors(inputs, stretch, settings.seed, len(samples))
+        by_line = linear.values + shift @ linear.point_derivatives.T + np.outer(grown, linear.stretch_derivatives)
+        points = inputs.points + shift.reshape(TRIALS_PER_BATCH, *inputs.points.shape)
+        samples.append(_evaluate_results(measurands, points, stretch.length_ratio + grown))
+        figures.append(
+            _batch_statistics(samples[-1], settings.coverage) - _batch_statistics(by_line, settings.coverage)
+        )
         if len(samples) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
     every = np.concatenate(samples)
     return MonteCarloUncertainty(
         values=every,
-        mean=mean,
-        sigma=sigma,
-        symmetric=np.stack([low, high], axis=1),
-        shortest=shortest_intervals(every, settings.coverage),
-        error=error[2:].max(axis=0),
-        stable=np.all(error <= tolerance, axis=0),
-        tolerance=tolerance,
+        means=mean,
+        sigmas=sigma,
+        symmetric_intervals=np.stack([low, high], axis=1),
+        shortest_intervals=shortest_intervals(every, settings.coverage),
+        numerical_errors=error[2:].max(axis=0),
+        is_stable=np.all(error <= tolerance, axis=0),
+        tolerances=tolerance,
     )
 
 
-def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple[Floats, Floats]:
+def _draw_errors(inputs: TaskInputs, stretch: ThermalExpansion, seed: int, number: int) -> tuple[Floats, Floats]:
     """Draws of one batch: errors of all points (BATCH, 3 T) [m], and of the part's expansion (BATCH,)."""
-    shift = np.zeros((BATCH, inputs.points.size))
+    shift = np.zeros((TRIALS_PER_BATCH, inputs.points.size))
     for i, source in enumerate(inputs.sources):
-        shape = BATCH, source.response.shape[1]
+        shape = TRIALS_PER_BATCH, source.point_response.shape[1]
         key = STREAM_KEYS.get(source.name, source.name)
         rng = stream(seed, "uncertainty", key, i, number)
-        shift += variates(rng, source.distribution, shape) @ source.response.T
-    grown = np.zeros(BATCH)
-    for name, sigma in parts_of(stretch):
-        grown += sigma * stream(seed, "uncertainty", name, number).standard_normal(BATCH)
+        shift += draw_variates(rng, source.distribution, shape) @ source.point_response.T
+    grown = np.zeros(TRIALS_PER_BATCH)
+    for name, sigma in expansion_errors(stretch):
+        grown += sigma * stream(seed, "uncertainty", name, number).standard_normal(TRIALS_PER_BATCH)
     return shift, grown
 
 
-def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
+def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
     """Results (BATCH, k) for points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
-    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, BATCH, TRIALS_PER_CALL)]
+    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, TRIALS_PER_BATCH, TRIALS_PER_CALL)]
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
 
 
-def _linear_figures(inputs: Inputs, linear: LinearUncertainty, coverage: float) -> Floats:
+def _linear_statistics(inputs: TaskInputs, linear: LinearUncertainty, coverage: float) -> Floats:
     """Mean, standard deviation and interval limits of the linear model without random draws, (4, k)."""
-    others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
+    others = [
+        (s.distribution, linear.point_derivatives @ s.point_response)
+        for s in inputs.sources
+        if s.distribution != "normal"
+    ]
     half = np.array(
         [
-            _half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage)
+            _coverage_half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage)
             for i, sigma in enumerate(linear.sigma)
         ]
     )
     return np.stack([linear.values, linear.sigma, linear.values - half, linear.values + half])
 
 
-def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:
+def _coverage_half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:
     """Half-width of the coverage interval of a sum of independent symmetric variates with total variance sigma^2.
 
     It is computed by inversion of the characteristic function, which is a product (Gil-Pelaez, Biometrika 38 (1951)
     481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in others)
-    if sigma == 0 or independent <= MAX_NON_NORMAL_SHARE * sigma**2:
+    if sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * sigma**2:
         return float(special.ndtri(0.5 + coverage / 2)) * sigma
-    at = STEP * (np.arange(STEPS) + 0.5)
+    at = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / sigma**2, 0.0) * at**2)
     for name, sizes in others:
         for size in np.abs(sizes[sizes != 0]) / sigma:
-            damping = damping * CHARACTERISTIC[name](size * at)
+            damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * at)
 
     def excess(width: float) -> float:
-        return float(2.0 / np.pi * STEP * np.sum(np.sin(width * at) / at * damping)) - coverage
+        return float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * at) / at * damping)) - coverage
 
     return sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
 
 
-def variates(rng: np.random.Generator, distribution: str, shape: tuple[int, ...]) -> Floats:
+def draw_variates(random_generator: np.random.Generator, distribution: str, shape: tuple[int, ...]) -> Floats:
     """Random draws with zero mean and unit standard deviation."""
     if distribution == "rectangular":
-        return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), shape)
+        return random_generator.uniform(-np.sqrt(3.0), np.sqrt(3.0), shape)
     if distribution == "triangular":
-        return rng.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), shape)
+        return random_generator.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), shape)
     if distribution == "arcsine":
-        return np.sqrt(2.0) * np.sin(rng.uniform(-np.pi, np.pi, shape))
-    return rng.standard_normal(shape)
+        return np.sqrt(2.0) * np.sin(random_generator.uniform(-np.pi, np.pi, shape))
+    return random_generator.standard_normal(shape)
 
 
-def _figures(values: Floats, coverage: float) -> Floats:
+def _batch_statistics(values: Floats, coverage: float) -> Floats:
     """Mean, standard deviation and limits of the symmetric interval of one batch, (4, k)."""
     tail = 50.0 * (1.0 - coverage)
     ends = np.percentile(values, [tail, 100.0 - tail], axis=0)

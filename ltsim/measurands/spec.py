@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.core.errors import as_setup_error
-from ltsim.recordings.air import Air
-from ltsim.recordings.settings import checked, load_settings
+from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.settings import load_settings, validate_settings
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 
-FORMAT = "ltsim-tasks/1"
-Kind = Literal[
+TASKS_FORMAT = "ltsim-tasks/1"
+"""Format and version of a task file."""
+TaskKind = Literal[
     "point",
     "rod",
     "distance",
@@ -26,13 +27,14 @@ Kind = Literal[
     "pose",
     "deviation",
 ]
-Names = Annotated[tuple[str, ...], Field(min_length=1)]
-Level = Annotated[float, Field(gt=0.5, lt=1.0)]
-POINTS = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
+"""Kind of measurand of a task."""
+NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
+CoverageLevel = Annotated[float, Field(gt=0.5, lt=1.0)]
+N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
 """Number of targets, for kinds of tasks with a fixed number."""
 
 
-class Tolerance(TomlSection):
+class ToleranceLimits(TomlSection):
     """Tolerance limits of one result of a task, in its unit; each is optional."""
 
     lower: Finite | None = None
@@ -61,9 +63,9 @@ class Task(TomlSection):
 
     name: str
     """Name of the task in the results."""
-    kind: Kind
+    kind: TaskKind
     """Kind of measurand that is computed from the targets."""
-    targets: Names
+    targets: NonEmptyNames
     """Names of the targets, in the order that the kind requires."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal points by target, for `transformation`, `pose` and `deviation`."""
@@ -75,12 +77,12 @@ class Task(TomlSection):
     """Distance from the second reflector of a rod to its tip."""
     radius_offset_mm: Finite = 0.0
     """Length that is added to fitted radii, such as the SMR radius."""
-    tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+    tolerances: dict[str, ToleranceLimits] = Field(default_factory=dict)
     """Tolerance limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        wanted = POINTS.get(self.kind)
+        wanted = N_TARGETS_BY_KIND.get(self.kind)
         if wanted is not None and len(self.targets) != wanted:
             raise ValueError(f"it should name {wanted} targets for a {self.kind}")
         if len(set(self.targets)) < len(self.targets):
@@ -138,7 +140,7 @@ class PartExpansion(TomlSection):
 class MonteCarlo(TomlSection):
     """Propagation of distributions (JCGM 101) until all results are stable to `digits` of their uncertainty."""
 
-    coverage: Level = 0.95
+    coverage: CoverageLevel = 0.95
     """Coverage probability of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
     """Number of significant digits of the standard uncertainty that must be stable."""
@@ -176,7 +178,7 @@ class Tasks(TomlSection):
     """Tasks, tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
     """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, without effects in `type_b`; default that of the recording."""
     growth: PartExpansion | None = None
     """Thermal expansion of the part."""
@@ -199,7 +201,7 @@ def load_tasks(path: Path) -> Tasks:
     return load_settings(path, Tasks, "task file")
 
 
-def tasks_from(data: Mapping[str, Any], file: object) -> Tasks:
+def validate_tasks(data: Mapping[str, Any], file: object) -> Tasks:
     """Validated tables of a task file; `file` is named in errors. Raises SetupError."""
     with as_setup_error():
-        return checked(data, Tasks, "task file", file)
+        return validate_settings(data, Tasks, "task file", file)

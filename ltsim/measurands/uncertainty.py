@@ -10,10 +10,10 @@ from scipy import special
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import expanded
 from ltsim.core.results import Column, Table, numbers, texts
-from ltsim.measurands.spec import Decision, Tolerance
+from ltsim.measurands.spec import Decision, ToleranceLimits
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
-RESULTS = Table(
+RESULTS_TABLE = Table(
     "uncertainty.csv",
     "results of the tasks",
     (
@@ -31,7 +31,7 @@ RESULTS = Table(
         ),
     ),
 )
-BUDGET = Table(
+BUDGET_TABLE = Table(
     "budget.csv",
     "contributions to the uncertainty",
     (
@@ -40,7 +40,7 @@ BUDGET = Table(
         *numbers(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
     ),
 )
-CONFORMITY = Table(
+CONFORMITY_TABLE = Table(
     "conformity.csv",
     "results against their tolerances (JCGM 106)",
     (
@@ -53,7 +53,7 @@ CONFORMITY = Table(
         *texts(judgement="accepted, rejected or undecided"),
     ),
 )
-HIDDEN = Table(
+HIDDEN_ERRORS_TABLE = Table(
     "hidden.csv",
     "undetectable errors that the uncertainty does not include",
     (
@@ -64,8 +64,8 @@ HIDDEN = Table(
 )
 NOT_INCLUDED = "not included"
 """Type, in the budget table, of an error that is not part of the uncertainty."""
-Size = Annotated[float, Field(ge=0)]
-MAX_REPORTED = 8
+NonNegativeFloat = Annotated[float, Field(ge=0)]
+MAX_SUMMARY_RESULTS = 8
 """Largest number of results in the summary lines."""
 
 
@@ -74,7 +74,7 @@ class Distribution(Entry):
 
     mean: float
     """Mean of the draws."""
-    standard_uncertainty: Size
+    standard_uncertainty: NonNegativeFloat
     """Standard deviation of the draws."""
     symmetric: tuple[float, float]
     """Probabilistically symmetric interval."""
@@ -95,7 +95,7 @@ class BudgetPart(Entry):
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
     share: float
     """Fraction of the variance of the result, 0 to 1."""
-    standard_uncertainty: Size
+    standard_uncertainty: NonNegativeFloat
     """Standard uncertainty in the result's unit."""
 
 
@@ -104,7 +104,7 @@ class HiddenPart(Entry):
 
     source: str
     """Text of the error, with its size."""
-    change: Size
+    change: NonNegativeFloat
     """Change of the result, in its unit."""
 
 
@@ -142,11 +142,11 @@ class TaskResult(Entry):
     """Unit of all values."""
     value: float
     """Estimate of the result."""
-    standard_uncertainty: Size
+    standard_uncertainty: NonNegativeFloat
     """Standard uncertainty by the GUM's law of propagation."""
     coverage_factor: float
     """Coverage factor of the expanded uncertainty."""
-    expanded_uncertainty: Size
+    expanded_uncertainty: NonNegativeFloat
     """Expanded uncertainty for the coverage."""
     monte_carlo: Distribution
     """Distribution by Monte Carlo."""
@@ -160,14 +160,14 @@ class TaskResult(Entry):
     """Conformity with the tolerance; null without one."""
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Text of the result with its expanded uncertainty."""
         figures = expanded(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
         return f"{self.task}, {self.name}: {figures}"
 
     @property
-    def row(self) -> list[Any]:
-        """Row of the table `RESULTS`."""
+    def table_row(self) -> list[Any]:
+        """Row of the table `RESULTS_TABLE`."""
         largest, drawn = self.budget[0], self.monte_carlo
         sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
@@ -208,7 +208,7 @@ class Uncertainty(ResultFile):
     """Warnings about the validity of the results."""
 
     def _lines(self) -> list[str]:
-        lines = [r.words for r in self.results[:MAX_REPORTED]]
+        lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
         more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
         return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
@@ -222,24 +222,24 @@ class Uncertainty(ResultFile):
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
         ]
         return {
-            "results": lambda: RESULTS.filled(r.row for r in self.results),
-            "budget": lambda: BUDGET.filled(rows),
-            "conformity": self._conformity,
-            "hidden": lambda: HIDDEN.filled(
+            "results": lambda: RESULTS_TABLE.filled(r.table_row for r in self.results),
+            "budget": lambda: BUDGET_TABLE.filled(rows),
+            "conformity": self._conformity_table,
+            "hidden": lambda: HIDDEN_ERRORS_TABLE.filled(
                 [r.task, r.name, part.source, part.change, r.unit] for r in self.results for part in r.hidden
             ),
         }
 
-    def _conformity(self) -> Table:
-        return CONFORMITY.filled(
+    def _conformity_table(self) -> Table:
+        return CONFORMITY_TABLE.filled(
             [r.task, r.name, c.lower, c.upper, c.guard_band, r.unit, 100 * c.probability, c.judgement]
             for r in self.results
             if (c := r.conformity)
         )
 
 
-def conformity(
-    value: float, sigma: float, tolerance: Tolerance, decision: Decision, draws: Floats | None = None
+def evaluate_conformity(
+    value: float, sigma: float, tolerance: ToleranceLimits, decision: Decision, draws: Floats | None = None
 ) -> Conformity:
     """Conformity of a result (in the unit of the tolerance), from its distribution: the `draws`, or a normal one.
 
@@ -273,7 +273,7 @@ def conformity(
     )
 
 
-def compared(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
+def normalised_errors_of_files(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
     """Pairs of ``task, result`` and E_n for every result that both files contain in the same unit.
 
     E_n applies to independent results, such as of two recordings or two instruments.

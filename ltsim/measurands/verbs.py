@@ -7,19 +7,19 @@ from typing import Any
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.core.errors import ModelError, option
 from ltsim.measurands.comparison import Comparison
-from ltsim.measurands.epochs import compare as compared, compare_coordinates
+from ltsim.measurands.epochs import compare_adjustments as compared, compare_coordinates
 from ltsim.measurands.evaluation import evaluate_listed_tasks, evaluate_tasks
-from ltsim.measurands.spec import FORMAT, Tasks, load_tasks, tasks_from
+from ltsim.measurands.spec import TASKS_FORMAT, Tasks, load_tasks, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import declared_construction, ideal
-from ltsim.recordings.coordinates import Coordinates, holds_coordinates, read_coordinates
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.physics.effects.verbs import name_tuple
+from ltsim.physics.model.construction import declared_construction, ideal_construction
+from ltsim.recordings.coordinates import EpochCoordinates, is_coordinate_file, read_coordinates
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 
 
 def uncertainty(
-    recording: RecordingSource | Coordinates,
+    recording: RecordingSource | EpochCoordinates,
     tasks: str | Path | Mapping[str, Any] | Tasks,
     *,
     seed: int | None = None,
@@ -55,20 +55,20 @@ def uncertainty(
     if isinstance(tasks, Tasks):
         given = tasks
     elif isinstance(tasks, Mapping):
-        given = tasks_from({"format": FORMAT, "source": "", **tasks}, "tasks")
+        given = validate_tasks({"format": TASKS_FORMAT, "source": "", **tasks}, "tasks")
     else:
         given = load_tasks(Path(tasks))
     if seed is not None:
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
-    listed = _coordinates_of(recording)
+    listed = _load_coordinates(recording)
     if listed is not None:
-        return evaluate_listed_tasks(listed, given).result
-    return evaluate_tasks(recording_of(recording), given).result  # type: ignore[arg-type]
+        return evaluate_listed_tasks(listed, given).to_result
+    return evaluate_tasks(load_recording(recording), given).to_result  # type: ignore[arg-type]
 
 
 def compare(
-    first: RecordingSource | Coordinates,
-    second: RecordingSource | Coordinates,
+    first: RecordingSource | EpochCoordinates,
+    second: RecordingSource | EpochCoordinates,
     *,
     stable: str | Sequence[str] | None = None,
     free: bool = False,
@@ -115,9 +115,9 @@ def compare(
     ()
     """
     lists = [
-        coordinates for coordinates in (_coordinates_of(first), _coordinates_of(second)) if coordinates is not None
+        coordinates for coordinates in (_load_coordinates(first), _load_coordinates(second)) if coordinates is not None
     ]
-    held = None if stable is None else names(stable)
+    held = None if stable is None else name_tuple(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
         raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
@@ -129,18 +129,22 @@ def compare(
         raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
     def adjusted(recording: Recording) -> Adjustment:
-        adjustment = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
+        adjustment = adjust(
+            recording, declared_construction(recording) if calibrate else ideal_construction(), robust=robust
+        )
         adjustment.solution.require_success()
         return adjustment
 
-    epochs = [adjusted(recording_of(source)) for source in (first, second) if not isinstance(source, Coordinates)]
+    epochs = [
+        adjusted(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
+    ]
     return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
 
 
-def _coordinates_of(source: RecordingSource | Coordinates) -> Coordinates | None:
+def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:
     """List of coordinates of a source, read from its path if necessary; None for a recording."""
-    if isinstance(source, Coordinates):
+    if isinstance(source, EpochCoordinates):
         return source
     return (
-        read_coordinates(Path(source)) if isinstance(source, str | Path) and holds_coordinates(Path(source)) else None
+        read_coordinates(Path(source)) if isinstance(source, str | Path) and is_coordinate_file(Path(source)) else None
     )

@@ -1,8 +1,8 @@
 """Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
 Two steps are used, so that a search computes geometry only once: `NormalBlocks` holds the contribution of each of any
-number of candidate set-ups; `LayoutScorer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
-poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
+number of candidate set-ups; `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
+blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
 The Jacobian is that of the construction, and the other rows are those of the adjustment. `information.py` computes the
 same quantities without blocks; a test compares the two.
@@ -18,18 +18,18 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import determines_pose, rigid_motion
-from ltsim.geometry.rotations import about_z, cross_matrix
+from ltsim.geometry.rigid import determines_pose, rigid_motion_design
+from ltsim.geometry.rotations import cross_matrix, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
-from ltsim.planning.survey import Survey
+from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-POSE_SCALE = 1e-5
+INTERNAL_LENGTH_UNIT = 1e-5
 """[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
 
 
@@ -40,46 +40,46 @@ class NormalBlocks:
     P = number of parameters of reflectors, instrument and effects.
     """
 
-    position: Floats
+    setup_positions: Floats
     """Positions of the set-ups, (N, 3) [m]."""
-    yaw: Floats
+    setup_yaws: Floats
     """Yaw of each set-up, (N,) [rad]."""
-    visible: Bools
+    is_visible: Bools
     """Flags of the targets that each set-up measures, (N, T)."""
-    held: Bools
+    has_determined_pose: Bools
     """Flags of the set-ups whose visible targets determine the pose, (N,)."""
-    tt: Floats
+    target_blocks: Floats
     """Normal matrix blocks of each target, (N, T, 3, 3)."""
-    tx: Floats
+    coupling_blocks: Floats
     """Normal matrix blocks between target and pose with parameters, (N, T, 3, 6 + P)."""
-    xx: Floats
+    pose_blocks: Floats
     """Normal matrix blocks of pose and parameters, summed over targets, (N, 6 + P, 6 + P)."""
 
-    def take(self, which: Ints) -> NormalBlocks:
+    def select(self, indices: Ints) -> NormalBlocks:
         """Selection of the set-ups."""
-        return NormalBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
+        return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
-    def concatenated(cls, parts: Sequence[NormalBlocks]) -> NormalBlocks:
+    def concatenate(cls, parts: Sequence[NormalBlocks]) -> NormalBlocks:
         """Union of several groups of set-ups."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
-    def with_station(self, slot: int, other: NormalBlocks) -> NormalBlocks:
-        """Layout of these set-ups with another one (N = 1) as station `slot`."""
-        stations = np.arange(len(self.position))
-        return self.concatenated([self, other]).take(np.where(stations == slot, len(stations), stations))
+    def with_replaced_station(self, station_index: int, other: NormalBlocks) -> NormalBlocks:
+        """Layout of these set-ups with another one (N = 1) as station `station_index`."""
+        stations = np.arange(len(self.setup_positions))
+        return self.concatenate([self, other]).select(np.where(stations == station_index, len(stations), stations))
 
 
-def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
+def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
     """Weights (T,): 1 for targets among (n,) with the errors of a reflector, else 0."""
-    acts = np.zeros(targets)
-    np.maximum.at(acts, target, errors.acts)
+    acts = np.zeros(n_targets)
+    np.maximum.at(acts, target, errors.reflector_weights)
     return acts
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """Information of B layouts on P parameters after elimination."""
+class LayoutPrecision:
+    """Precision of B layouts: information on P parameters after elimination, and point errors."""
 
     information: Floats
     """Information on instrument and effect parameters in units of their prior sigma, (B, P, P); NaN for a layout with
@@ -100,59 +100,66 @@ class LayoutScorer:
     """
 
     def __init__(
-        self, survey: Survey, construction: Construction | None = None, effects: Sequence[Effect] = ()
+        self, survey: PlannedSurvey, construction: Construction | None = None, effects: Sequence[Effect] = ()
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
-        self.construction = construction or misalignment()
-        whole = survey.replace(visible=np.ones_like(survey.visible))
-        pointings, state = whole.recording(self.construction), whole.state(self.construction)
+        self.construction = construction or misalignment_construction()
+        whole = survey.replace(is_visible=np.ones_like(survey.is_visible))
+        pointings, state = whole.noise_free_recording(self.construction), whole.nominal_state(self.construction)
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
         problem = (
-            Adjustment.planned(pointings, state, self.construction).problem
-            if survey.is_whole
-            else NetworkProblem.of(MeasurementModel(pointings, self.construction))
+            Adjustment.from_plan(pointings, state, self.construction).problem
+            if survey.records_angles
+            else NetworkProblem.from_model(MeasurementModel(pointings, self.construction))
         )
-        self._rank_free, self._free = problem.free.shape[1], problem.free
-        self._vertical = np.full((self.stations, 3), np.nan)
-        self._vertical[problem.levels.station] = problem.levels.vertical
+        self._n_free_motions, self._free_motions = problem.free_motions.shape[1], problem.free_motions
+        self._plumb_directions = np.full((self.n_stations, 3), np.nan)
+        self._plumb_directions[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
         self.prior_sigma = problem.prior.sigma[0]
-        self._reflectors = [(e, by_target(e, pointings.target, len(survey.points))) for e in problem.model.incidence]
-        self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence)
+        self._incidence_errors = [
+            (e, target_weights(e, pointings.target, len(survey.target_points))) for e in problem.model.incidence_errors
+        ]
+        self._n_nuisances = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
-        self.scale = np.concatenate([np.ones(self._nuisance), self.prior_sigma, np.array(sizes, dtype=np.float64)])
-        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.n_reduced)
-        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.n_reduced)
-        rows = problem.linearise(state).design[int(problem.use.sum()) :]
-        other = as_dense(rows[: rows.shape[0] - self._rank_free])
+        self.parameter_scales = np.concatenate(
+            [np.ones(self._n_nuisances), self.prior_sigma, np.array(sizes, dtype=np.float64)]
+        )
+        self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
+        self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
+        rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
+        other = to_dense(rows[: rows.shape[0] - self._n_free_motions])
         at = problem.unknowns
-        values = np.concatenate([at.extra[: self._nuisance], at.instrument[0]])
-        self._other_blocks(other, at.target, at.pose, values)
-        self._weight, self._use = survey.weight, survey.used
-        self._anchors_turn = problem.structure.anchors_turn
-        self._motion = rigid_motion(survey.points) @ self._free
+        values = np.concatenate([at.extra_columns[: self._n_nuisances], at.instrument_columns[0]])
+        self._fixed_blocks(other, at.target_columns, at.pose_columns, values)
+        self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
+        self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
+        self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
+    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
         """Normal equations of gauge, control, levels and priors, in the order and units of this class."""
-        extra = np.zeros((len(rows), len(self.scale) - len(values)))
-        front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
-        reduced_rows = np.hstack([*front, rows[:, values] * self.scale[: len(values)], extra])
-        mesh = rows[:, target[self.mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
-        self._other_reduced = reduced_rows.T @ reduced_rows
-        self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
-        self._other_tk = np.einsum("mti,mk->tik", mesh, reduced_rows)
+        extra = np.zeros((len(rows), len(self.parameter_scales) - len(values)))
+        front = [
+            rows[:, pose.ravel()] * INTERNAL_LENGTH_UNIT,
+            rows[:, target[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
+        ]
+        reduced_rows = np.hstack([*front, rows[:, values] * self.parameter_scales[: len(values)], extra])
+        mesh = rows[:, target[self.mesh_targets].ravel()].reshape(len(rows), -1, 3) * INTERNAL_LENGTH_UNIT
+        self._fixed_reduced_block = reduced_rows.T @ reduced_rows
+        self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)
+        self._fixed_coupling_blocks = np.einsum("mti,mk->tik", mesh, reduced_rows)
 
     @property
-    def stations(self) -> int:
+    def n_stations(self) -> int:
         """Number of stations of a layout."""
-        return len(self.survey.position)
+        return len(self.survey.station_positions)
 
     def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
         """Sightings of every target on each face from each of N set-ups; `slot` is the station that they replace."""
         survey = self.survey
-        axes = np.arange(len(position)), np.arange(len(survey.points)), np.array(survey.faces)
+        axes = np.arange(len(position)), np.arange(len(survey.target_points)), np.array(survey.faces)
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        turn = survey.turn(slot[station], target, face)
-        visit = survey.seconds_per_move + len(survey.points) * len(survey.faces) * survey.seconds_per_pointing
+        turn = survey.pointing_ranks(slot[station], target, face)
+        visit = survey.seconds_per_move + len(survey.target_points) * len(survey.faces) * survey.seconds_per_pointing
         nests = [survey.setup.targets.get(name) for name in survey.target_names]
         nest_normals = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
         normal = np.array(nest_normals, dtype=np.float64)
@@ -163,97 +170,107 @@ class LayoutScorer:
             face=face,
             repeat=np.ones(len(station), dtype=np.int64),
             time=slot[station] * visit + turn * survey.seconds_per_pointing,
-            position=position,
-            rotation=np.stack([about_z(float(angle)) for angle in yaw]),
-            points=survey.points,
-            nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
+            station_positions=position,
+            station_rotations=np.stack([rotation_about_z(float(angle)) for angle in yaw]),
+            target_points=survey.target_points,
+            nest_normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            is_reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
             station_names=tuple(survey.station_names[s] for s in slot),
             target_names=survey.target_names,
         )
 
-    def rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
+    def whitened_rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
         """Whitened rows of N set-ups: derivatives (N, T, r, 3) by target, (N, T, r, 6 + P) by pose and parameters.
 
-        They are zero for targets that are not `visible` (N, T). For effects that depend on time since the start, the
+        They are zero for targets that are not `is_visible` (N, T). For effects that depend on time since the start, the
         first station is included.
         """
         if self.effects and slot.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
             whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, slot), strict=True))
             by_target, by_value = self._derivatives(self.sightings(*whole))
-            first_rows = len(self.survey.points) * len(self.survey.faces)
+            first_rows = len(self.survey.target_points) * len(self.survey.faces)
             by_target, by_value = by_target[first_rows:], by_value[first_rows:]
         else:
             by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
         weight = (np.sqrt(self.survey.repeats) * visible)[:, :, None, None]
         shape = (*visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
-        turned = t @ cross_matrix(self.survey.points[None] - position[:, None])
+        turned = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
         return t, np.concatenate([-t, turned, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
-        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
-        by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
-        reflectors = [replace(e, acts=acts[sightings.target]).design(sightings) for e, acts in self._reflectors]
+        by_point, by_value = self.construction.reading_design(
+            sightings.raw_readings, np.zeros(self.construction.n_parameters)
+        )
+        by_target = by_point @ np.swapaxes(sightings.station_rotations[sightings.station], 1, 2)
+        reflectors = [
+            replace(e, reflector_weights=acts[sightings.target]).design(sightings) for e, acts in self._incidence_errors
+        ]
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
-        sigma = self.survey.noise(sightings)
+        sigma = self.survey.nominal_noise(sightings)
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
-        white = (self._use / sigma)[:, :, None]
-        return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
+        white = (self._used_observables / sigma)[:, :, None]
+        return by_target * (white * INTERNAL_LENGTH_UNIT), np.concatenate(designs, axis=2) * (
+            white * self.parameter_scales
+        )
 
-    def blocks(
+    def normal_blocks(
         self, position: Floats, yaw: Floats, slot: Ints | None = None, visible: Bools | None = None
     ) -> NormalBlocks:
-        """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
+        """Contributions of N set-ups at `setup_positions` (N, 3) and `setup_yaws` (N,).
 
-        `slot` (N,) is the station that each set-up replaces (time and name matter for some effects); `visible` (N, T)
-        marks the measured targets, default all.
+        `slot` (N,) is the station that each set-up replaces (time and name matter for some effects); `is_visible` (N,
+        T) marks the measured targets, default all.
         """
         at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
-        visible = np.ones((len(position), len(self.survey.points)), dtype=bool) if visible is None else visible
-        t, x = self.rows(position, yaw, at, visible)
+        visible = np.ones((len(position), len(self.survey.target_points)), dtype=bool) if visible is None else visible
+        t, x = self.whitened_rows(position, yaw, at, visible)
         flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = determines_pose(self.survey.points, visible, self._vertical[at])
+        held = determines_pose(self.survey.target_points, visible, self._plumb_directions[at])
         return NormalBlocks(position, yaw, visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
-    def reduce(self, blocks: NormalBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
+    def evaluate_layouts(
+        self, blocks: NormalBlocks, chosen: Ints, *, with_target_errors: bool = False
+    ) -> LayoutPrecision:
         """Information of B layouts, and target errors on request.
 
-        Each row of `chosen` (B, S) has indices into `blocks`.
+        Each row of `chosen` (B, S) has indices into `normal_blocks`.
         """
-        schur, length, inverse, weights = self.eliminated(blocks, chosen)
-        size = len(self.scale) - self._nuisance
+        schur, length, inverse, weights = self.eliminate_targets(blocks, chosen)
+        size = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
-        held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
-        information[held] = self.marginal(schur[held], length[held])
-        if targets:
+        held = blocks.has_determined_pose[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
+        information[held] = self.marginal_information(schur[held], length[held])
+        if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
-            rms[determined] = self.target_rms(schur[determined], inverse[determined], weights[determined], self.mesh)
-        return Reduced(information, rms)
+            rms[determined] = self.target_rms(
+                schur[determined], inverse[determined], weights[determined], self.mesh_targets
+            )
+        return LayoutPrecision(information, rms)
 
-    def marginal(self, schur: Floats, length: Floats) -> Floats:
+    def marginal_information(self, schur: Floats, length: Floats) -> Floats:
         """Information (B, P, P) on the parameters after elimination of all other unknowns in normal matrices (B, K, K).
 
         It is NaN for undetermined unknowns; (B, K) are the squared norms of the columns of the design, for that test.
         """
-        unit, scale = unit_diagonal(schur, length)
+        unit, scale = scale_to_unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
-        last = slice(schur.shape[1] - len(self.scale) + self._nuisance, schur.shape[1])
+        last = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
         corner = roots[:, last, last] / scale[:, last, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
-    def eliminated(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+    def eliminate_targets(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared column norms (B, K) before elimination, and terms of eliminated targets.
 
         The terms are the inverse blocks (B, E, 3, 3) of the targets, and their products with the coupling blocks. The
         complement of a layout with an undetermined target is NaN.
         """
-        reduced, tt, tk = self._normal(blocks, chosen)
-        if not self._use.all():  # a whole sight places its target
+        reduced, tt, tk = self._normal_matrices(blocks, chosen)
+        if not self._used_observables.all():  # a whole sight places its target
             spread = np.linalg.eigvalsh(tt)
             open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
@@ -265,94 +282,98 @@ class LayoutScorer:
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
 
-    def _normal(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+    def _normal_matrices(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
         """Reduced block (B, K, K), blocks of the mesh targets (B, E, 3, 3), and coupling blocks (B, E, 3, K)."""
         layouts, stations = chosen.shape
-        params, gauge = len(self.scale), len(self._gauge)
+        params, gauge = len(self.parameter_scales), len(self._gauge_targets)
         size = 6 * stations + 3 * gauge + params
-        reduced = np.broadcast_to(self._other_reduced, (layouts, size, size)).copy()
-        tk = np.zeros((layouts, len(self.survey.points), 3, size))
-        tt = np.zeros((layouts, len(self.survey.points), 3, 3))
+        reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, size, size)).copy()
+        tk = np.zeros((layouts, len(self.survey.target_points), 3, size))
+        tt = np.zeros((layouts, len(self.survey.target_points), 3, 3))
         last = slice(size - params, size)
         for s in range(stations):
             which = chosen[:, s]
             at = slice(6 * s, 6 * s + 6)
-            xx, tx = blocks.xx[which], blocks.tx[which]
+            xx, tx = blocks.pose_blocks[which], blocks.coupling_blocks[which]
             reduced[:, at, at] += xx[:, :6, :6]
             reduced[:, at, last] += xx[:, :6, 6:]
             reduced[:, last, at] += xx[:, 6:, :6]
             reduced[:, last, last] += xx[:, 6:, 6:]
             tk[:, :, :, at] = tx[:, :, :, :6]
             tk[:, :, :, last] += tx[:, :, :, 6:]
-            tt += blocks.tt[which]
-        for g, t in enumerate(self._gauge):
+            tt += blocks.target_blocks[which]
+        for g, t in enumerate(self._gauge_targets):
             at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
             reduced[:, at, :] += tk[:, t]
             reduced[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
             reduced[:, at, at] += tt[:, t]
-        if self._rank_free:
-            datum = self._datum(blocks.position[chosen])
+        if self._n_free_motions:
+            datum = self._datum_rows(blocks.setup_positions[chosen])
             pose_columns = slice(0, datum.shape[2])
             reduced[:, pose_columns, pose_columns] += np.swapaxes(datum, 1, 2) @ datum
-        mesh = tt[:, self.mesh] + self._other_tt
+        mesh = tt[:, self.mesh_targets] + self._fixed_target_blocks
         unseen = np.einsum("beii->be", mesh) == 0.0
-        return reduced, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
+        return (
+            reduced,
+            mesh + unseen[:, :, None, None] * np.eye(3),
+            tk[:, self.mesh_targets] + self._fixed_coupling_blocks,
+        )
 
-    def _datum(self, position: Floats) -> Floats:
-        """Datum rows (B, f, 6 a) that fix the free rigid motions of stations at `position` (B, S, 3).
+    def _datum_rows(self, position: Floats) -> Floats:
+        """Datum rows (B, f, 6 a) that fix the free rigid motions of stations at `setup_positions` (B, S, 3).
 
         They fix the pose of the first station, or for ranges alone the positions of all.
         """
-        motion = self._free / np.linalg.norm(self._free, axis=0)
-        anchors = position[:, :1] if self._anchors_turn else position
+        motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
+        anchors = position[:, :1] if self._fixes_datum_rotations else position
         rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
         rows[..., :3] += np.cross(rows[..., 3:], anchors[:, None])
-        rows[..., 3:] *= self._anchors_turn
-        return (rows / DATUM_SIGMA * POSE_SCALE).reshape(len(rows), motion.shape[1], -1)
+        rows[..., 3:] *= self._fixes_datum_rotations
+        return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Root mean square point error (B,) [m], weighted as in the survey; parameters as of `target_variance`."""
         variance = self.target_variance(schur, inverse, weights, mesh)
-        weight = self._weight[self.asked(mesh)]
+        weight = self._target_weights[self.requested_targets(mesh)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
-    def asked(self, mesh: Ints) -> Ints:
+    def requested_targets(self, mesh: Ints) -> Ints:
         """Indices of the targets in the survey whose variance `target_variance` returns, (1 or B, E + gauge)."""
         at = np.atleast_2d(mesh)
-        return np.concatenate([at, np.broadcast_to(self._gauge, (len(at), len(self._gauge)))], axis=1)
+        return np.concatenate([at, np.broadcast_to(self._gauge_targets, (len(at), len(self._gauge_targets)))], axis=1)
 
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets, with inner constraints over them.
 
         Only the instrument's parameters and the reflectors' errors are estimated here, not the effects. `schur` (B, K,
-        K), `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are results of `eliminated` for the targets `mesh`, (E,)
-        or (B, E). The targets of the gauge are always included.
+        K), `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are results of `eliminate_targets` for the targets `mesh`,
+        (E,) or (B, E). The targets of the gauge are always included.
         """
-        estimated = self._nuisance + len(self.prior_sigma)
-        layouts, size = len(schur), schur.shape[1] - (len(self.scale) - estimated)
+        estimated = self._n_nuisances + len(self.prior_sigma)
+        layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
         covariance = np.linalg.inv(schur[:, :size, :size])
-        count, gauge = inverse.shape[1], len(self._gauge)
+        count, gauge = inverse.shape[1], len(self._gauge_targets)
         carry = np.zeros((layouts, count + gauge, 3, size))
         carry[:, :count] = -weights[..., :size]
         first = size - estimated - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
-            self._motion.reshape(-1, 3, self._rank_free)[self.asked(mesh)],
-            (layouts, count + gauge, 3, self._rank_free),
+            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(mesh)],
+            (layouts, count + gauge, 3, self._n_free_motions),
         )
         # Inner constraints: what is left of each target's errors without the rigid motion of all of them.
         axes = 3 * (count + gauge)
-        rows = motion.reshape(layouts, axes, self._rank_free)
+        rows = motion.reshape(layouts, axes, self._n_free_motions)
         held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
         flat = carry.reshape(layouts, axes, size)
         constrained = flat - rows @ (held @ flat)
-        part = held.reshape(layouts, self._rank_free, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
+        part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
         moved = np.einsum("beij,befj->beif", inverse, part)
         common = np.einsum("befi,beig->bfg", part, moved)
         variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
-        variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
+        variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._n_free_motions).sum(axis=2)
         variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
             "beif,beif->be", motion[:, :count], moved
         )
-        return POSE_SCALE**2 * variance
+        return INTERNAL_LENGTH_UNIT**2 * variance

@@ -18,38 +18,42 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
+from ltsim.adjustment.remedies.undetermined import (
+    ParameterCombination,
+    determining_sentences,
+    undetermined_combinations,
+)
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
-from ltsim.planning.survey import Survey
+from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.planning.survey import PlannedSurvey
 
 
 @dataclass(frozen=True)
 class LayoutInformation:
     """Expected precision of a planned survey."""
 
-    survey: Survey
+    survey: PlannedSurvey
     adjustment: Adjustment
     """Adjustment at the nominal state; its precision is that of the planned survey."""
 
     @classmethod
-    def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
+    def from_survey(cls, survey: PlannedSurvey, construction: Construction | None = None) -> LayoutInformation:
         """Expected precision of a survey, by default with the 16 misalignment parameters.
 
         Raises NetworkError for undetermined poses or targets.
         """
-        built = construction or misalignment()
-        if not survey.visible.size:
+        built = construction or misalignment_construction()
+        if not survey.is_visible.size:
             raise NetworkError("no station sees a target")
-        unseen = np.flatnonzero(~survey.visible.any(axis=0))
+        unseen = np.flatnonzero(~survey.is_visible.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is not visible from any station")
-        adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
+        adjustment = Adjustment.from_plan(survey.noise_free_recording(built), survey.nominal_state(built), built)
         if adjustment.undetermined_targets:
             raise NetworkError(f"the ranges do not determine target {adjustment.undetermined_targets[0]}")
         return cls(survey, adjustment)
@@ -78,28 +82,30 @@ class LayoutInformation:
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
     @cached_property
-    def instrument_sigma(self) -> Floats:
+    def instrument_sigmas(self) -> Floats:
         """Standard deviation of each instrument parameter, (p,) [SI]."""
         return np.sqrt(np.diag(self.instrument_covariance))
 
     @cached_property
-    def undetermined(self) -> list[Direction]:
+    def undetermined_combinations(self) -> list[ParameterCombination]:
         """Undetermined combinations of parameters (gain below one half), the least determined first."""
-        return undetermined(self.instrument_covariance, self.prior_sigma)
+        return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
-    def cures(self) -> list[str]:
+    def determining_sentences(self) -> list[str]:
         """Sentences on the measurement that would determine each undetermined combination."""
-        return determining(self.adjustment, self.construction, [self.undetermined])[0]
+        return determining_sentences(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
-    def _inner(self) -> Adjustment:
+    def _inner_datum_adjustment(self) -> Adjustment:
         """Adjustment with inner constraints over all targets."""
         return self.adjustment.in_inner_datum()
 
     @property
     def pose_covariance(self) -> Floats:
         """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6), datum as `target_covariance`."""
-        return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose)
+        return self._inner_datum_adjustment.pose_covariance + air_covariance(
+            self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.pose_columns
+        )
 
     @cached_property
     def target_covariance(self) -> Floats:
@@ -107,31 +113,36 @@ class LayoutInformation:
 
         The datum is the mean of all targets (inner constraints).
         """
-        return self._inner.target_covariance + air_covariance(self._inner, self._inner.problem.unknowns.target)
+        return self._inner_datum_adjustment.target_covariance + air_covariance(
+            self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.target_columns
+        )
 
     @cached_property
-    def target_sigma(self) -> Floats:
+    def target_sigmas(self) -> Floats:
         """Point error of each target, the square root of the trace of its covariance, (T,) [m]."""
         return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
     def target_rms(self) -> float:
         """Root mean square point error [m] over all targets, weighted as in the survey."""
-        return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
+        return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_sigmas**2)))
 
 
-KINDS = {
+PARAMETER_GROUPS = {
     None: "instrument",
     "angle": "angle errors",
     "offset": "offset errors",
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-RANGE_NOISE, ANGLE_NOISE, LENGTHS, REFLECTORS = "range noise", "angle noise", "gauge lengths", "reflectors"
+RANGE_NOISE_GROUP = "range noise"
+ANGLE_NOISE_GROUP = "angle noise"
+GAUGE_LENGTHS_GROUP = "gauge lengths"
+REFLECTORS_GROUP = "reflectors"
 
 
 @dataclass(frozen=True)
-class ExpectedErrors:
+class ExpectedCriteria:
     """Expected mean of both criteria [m] before and after calibration, one value per request (k,)."""
 
     distance_before: Floats
@@ -151,25 +162,25 @@ class ExpectedErrors:
 
 
 @dataclass(frozen=True)
-class Predictor:
+class CriteriaPredictor:
     """Contribution of each group of errors, at its nominal size, to the paper's criteria."""
 
-    groups: tuple[str, ...]
+    error_groups: tuple[str, ...]
     """Names of the groups: noise, gauge lengths, instrument parameters by kind, and the unmodelled effects."""
-    distance: Floats
+    distance_variances: Floats
     """Variance of each station's deviation of each distance, before and after calibration, (2, G, rows) [m^2]."""
-    coordinate: Floats
+    coordinate_covariances: Floats
     """Covariance of the difference between the positions of each target from two stations, (2, G, rows, 3, 3) [m^2]."""
 
     @classmethod
-    def of(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> Predictor:
+    def from_information(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> CriteriaPredictor:
         """Predictor of a layout in which all stations see all targets.
 
         The effects in `unmodelled` act on the readings but are not estimated; each is a group, with its prior sigma.
         """
-        ways, group = _ways(information, unmodelled)
+        ways, group = _displacements_by_error(information, unmodelled)
         names = tuple(dict.fromkeys(group))
-        lengths, gaps = _distances(information), _coordinates(information)
+        lengths, gaps = _distance_deviation_matrix(information), _coordinate_difference_matrix(information)
         distance = np.empty((2, len(names), len(lengths)))
         coordinate = np.empty((2, len(names), len(gaps), 3, 3))
         member = np.array([names.index(g) for g in group])
@@ -181,20 +192,24 @@ class Predictor:
                 coordinate[i, g] = across[:, :, at] @ np.swapaxes(across[:, :, at], 1, 2)
         return cls(names, distance, coordinate)
 
-    def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> ExpectedErrors:
-        """Criteria for groups of errors of `sizes` times their nominal size (default 1), each (k,) or a number."""
-        wanted = dict(sizes or {})
+    def expected_errors(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
+        """Criteria (k,) for groups of errors of some times their nominal size (default 1)."""
+        wanted = dict(group_sizes or {})
         for name in wanted:
-            if name not in self.groups:
-                raise unknown_name("group of errors", name, self.groups)
-        scale = np.stack(np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.groups)), axis=1)
+            if name not in self.error_groups:
+                raise unknown_name("group of errors", name, self.error_groups)
+        scale = np.stack(
+            np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.error_groups)), axis=1
+        )
         square = scale.astype(np.float64) ** 2
-        distance = [np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance]
-        coordinate = [_mean_gap(square, spread) for spread in self.coordinate]
-        return ExpectedErrors(distance[0], distance[1], coordinate[0], coordinate[1])
+        distance = [
+            np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance_variances
+        ]
+        coordinate = [_mean_length(square, spread) for spread in self.coordinate_covariances]
+        return ExpectedCriteria(distance[0], distance[1], coordinate[0], coordinate[1])
 
 
-def _mean_gap(square: Floats, spread: Floats) -> Floats:
+def _mean_length(square: Floats, spread: Floats) -> Floats:
     """Mean over rows of the expected length (k,), computed for a few requests at a time."""
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
@@ -221,7 +236,9 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
     return length * np.sqrt(total[..., 0])
 
 
-def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
+def _displacements_by_error(
+    information: LayoutInformation, unmodelled: Sequence[Effect]
+) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacement (3 S T, errors) of each station's targets per unit error, before and after calibration.
 
     Also returned is the group of each error.
@@ -229,22 +246,22 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, lengths, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
-    extra = problem.model.extra_size
-    priors = design.shape[0] - problem.free.shape[1] - params - extra
-    mean = _means(information)
-    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
+    count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
+    extra = problem.model.n_extra_parameters
+    priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
+    mean = _averaging_matrix(information)
+    _, by_reading, by_value = construction.linearised(sightings.raw_readings, np.zeros(construction.n_parameters))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
-    places = np.concatenate([problem.unknowns.instrument[0], problem.unknowns.extra])
-    columns = np.eye(problem.unknowns.size)[:, places]
-    answer = adjustment.factor.covariance_columns(columns).T @ design.T
+    places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
+    columns = np.eye(problem.unknowns.n_columns)[:, places]
+    answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
     by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], extra)
     errors = np.zeros((design.shape[0], 0))
     if unmodelled:
-        space = ResidualSpace.of(adjustment)
-        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
-    used = np.flatnonzero(problem.use.ravel())
+        space = ResidualSpace.from_adjustment(adjustment)
+        errors = np.hstack([space.whitened_signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
+    used = np.flatnonzero(problem.used_readings.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
     before = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     before[:, :count] = noise[:, used]
@@ -256,13 +273,13 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
     after = before.copy()
     after[:, count + lengths : len(columns_used)] = 0.0
     after -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
-    labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * lengths
-    labels += [KINDS[p.prior_kind] for p in construction.parameters]
-    labels += [REFLECTORS] * extra
+    labels = np.where(used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
+    labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
+    labels += [REFLECTORS_GROUP] * extra
     return (before, after), labels + [e.name for e in unmodelled for _ in e.parameters]
 
 
-def _means(information: LayoutInformation) -> Floats:
+def _averaging_matrix(information: LayoutInformation) -> Floats:
     """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
     recording = information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
@@ -271,14 +288,14 @@ def _means(information: LayoutInformation) -> Floats:
     return mean / mean.sum(axis=1, keepdims=True)
 
 
-def _distances(information: LayoutInformation) -> Floats:
+def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
     """Matrix (rows, 3 S T) from displacements to deviations of each station's distances from the mean over stations."""
     state = information.adjustment.state
-    stations, targets = len(state.position), len(state.points)
+    stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
-    gap = state.points[first] - state.points[second]
+    gap = state.target_points[first] - state.target_points[second]
     unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-    local = np.einsum("sji,pj->spi", state.rotation, unit)
+    local = np.einsum("sji,pj->spi", state.station_rotations, unit)
     displacement = np.zeros((stations, len(first), stations, targets, 3))
     pair = np.arange(len(first))
     for s in range(stations):
@@ -288,16 +305,16 @@ def _distances(information: LayoutInformation) -> Floats:
     return deviation.reshape(stations * len(first), -1)
 
 
-def _coordinates(information: LayoutInformation) -> Floats:
+def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
     """Matrix (rows, 3, 3 S T) from displacements to differences of a target's positions from two stations.
 
     The stations are aligned rigidly first.
     """
     state = information.adjustment.state
-    stations, targets = len(state.position), len(state.points)
-    motion = rigid_motion(state.points, state.points.mean(axis=0))
+    stations, targets = len(state.station_positions), len(state.target_points)
+    motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
     off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
-    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.rotation)
+    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)
     rows = []
     for m, n in combinations(range(stations), 2):

@@ -3,37 +3,37 @@
 from pathlib import Path
 
 from ltsim.core.errors import SetupError
-from ltsim.planning.plan_change import in_millimetres
+from ltsim.planning.plan_change import to_millimetres
 from ltsim.planning.plan_entries import StationEntry
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.survey import Survey
+from ltsim.planning.survey import PlannedSurvey
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 
-SCENARIO = "scenario.toml"
+SCENARIO_FILE = "scenario.toml"
 """Name of the scenario file with the plan's stations, in the plan's folder."""
-PLAN = "plan.toml"
+PLAN_FILE = "plan.toml"
 """Name of the plan file that the interactive planner saves in the folder of a plan."""
 
 
-def planned_scenario(plan: PlannedNetwork) -> Scenario:
+def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
     """Scenario with the plan's stations, reflectors and measuring procedure, for `ltsim simulate`."""
-    return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
+    return with_layout(plan.scenario, plan.layout.survey, plan.plan_file.title or plan.scenario.title)
 
 
-def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
+def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
     """Scenario with the stations, reflectors and measuring procedure of a survey."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
             position_mm=place.position_mm, yaw_deg=place.yaw_deg, levelled=place.name in levelled
         )
-        for place in StationEntry.places(survey)
+        for place in StationEntry.without_precision(survey)
     }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
-        name: scenario.targets.get(name) or PlannedTarget(position_mm=in_millimetres(place, 3))
-        for name, place in zip(survey.target_names, survey.points, strict=True)
+        name: scenario.targets.get(name) or PlannedTarget(position_mm=to_millimetres(place, 3))
+        for name, place in zip(survey.target_names, survey.target_points, strict=True)
         if name not in fixed
     }
     way = {
@@ -48,7 +48,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     )
 
 
-def with_cad_copied(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
+def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
     """Scenario whose CAD files are in its own folder, and the contents of these files by name; raises SetupError."""
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}

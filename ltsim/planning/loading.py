@@ -14,61 +14,61 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.site import MIN_TARGETS, Placement
-from ltsim.planning.spec import WALLS, PlanFile, Point
-from ltsim.recordings.coordinates import Points, read_points as read_coordinates
-from ltsim.recordings.files import comma_number, shown
-from ltsim.recordings.settings import checked, read_toml
-from ltsim.scene.floor import areas_and_keep_outs, grid_over, grid_step, may_stand
-from ltsim.scene.visibility import visibility
+from ltsim.planning.site import MIN_VISIBLE_TARGETS, StationPlacement
+from ltsim.planning.spec import WALLS_NAME, PlanFile, PointEntry
+from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
+from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.settings import read_toml, validate_settings
+from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, grid_step, is_allowed_position
+from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
+from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
-from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
+from ltsim.simulation.workshop import make_obstacles, make_sight_limits, planned_layout
 
-TABLES = ("workshop", "instrument", "smr", "work")
+SCENARIO_TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
-USUAL_HEIGHT_MM = (1400.0, 1800.0)
+USUAL_HEAD_HEIGHTS_MM = (1400.0, 1800.0)
 """Lowest and highest centre of the head [mm] on a usual stand."""
-SAME_POINT_MM = 0.1
+MAX_SAME_POINT_DISTANCE_MM = 0.1
 """Distance [mm] within which a point of a list equals the scenario's target of the same name."""
-INITIAL_STATIONS = 4
+N_INITIAL_STATIONS = 4
 """Number of initial stations if the plan does not give one."""
-BUILT_IN = files("ltsim.planning") / "builtin"
+BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
 
 
 def plan_names() -> tuple[str, ...]:
     """Names of the built-in plan files, and of the scenarios, which are plans with default settings."""
-    plans = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
+    plans = sorted(f.name.removesuffix(".toml") for f in BUILTIN_FOLDER.iterdir() if f.name.endswith(".toml"))
     return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
 def plan_text(name: str) -> str:
     """Commented file of a built-in plan, as a template."""
-    path = BUILT_IN / f"{name}.toml"
+    path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
-        near = _near(name, plan_names())
-        raise SetupError(f"{shown(name)}: there is no built-in plan of this name; did you mean {near}?")
+        near = _similar_names(name, plan_names())
+        raise SetupError(f"{quoted_text(name)}: there is no built-in plan of this name; did you mean {near}?")
     return path.read_text(encoding="utf-8")
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     """Plan file (or built-in plan, or scenario used as a plan) and its scenario; raises SetupError."""
     name = str(name_or_path)
-    built = BUILT_IN / f"{name}.toml"
+    built = BUILTIN_FOLDER / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
     if not path.is_file():
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
-        near = _near(name, plan_names())
-        raise SetupError(f"{shown(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+        near = _similar_names(name, plan_names())
+        raise SetupError(f"{quoted_text(name)}: there is no such file, and no built-in plan; did you mean {near}?")
     with as_setup_error():
         data = read_toml(path, "plan")
-        if data.get("format") == FORMAT:
+        if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
-        made = checked(data, PlanFile, "plan", path)
-    made = made.model_copy(update=_given(made, path))
-    scenario = _scenario(made, data, path)
+        made = validate_settings(data, PlanFile, "plan", path)
+    made = made.model_copy(update=_with_defaults(made, path))
+    scenario = _scenario_of_plan(made, data, path)
     if made.air is not None:
         scenario = scenario.model_copy(update={"air": made.air})
     _check_names(made, scenario, path)
@@ -76,99 +76,105 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     return made, scenario
 
 
-def _near(name: str, candidates: Sequence[str]) -> str:
+def _similar_names(name: str, candidates: Sequence[str]) -> str:
     """Names that are most similar to an unknown one."""
     return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
-def _given(made: PlanFile, path: Path) -> dict[str, Any]:
+def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """Values that the file does not give: the points of its list, and defaults that depend on other keys."""
-    points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
+    points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
     changes: dict[str, Any] = {"points": points}
-    if made.workshop is not None and made.floor.height_mm is None:
-        changes["floor"] = made.floor.model_copy(update={"height_mm": USUAL_HEIGHT_MM})
-    if points and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
-        changes["goal"] = made.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    if plan_file.workshop is not None and plan_file.floor.height_mm is None:
+        changes["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
+    if points and not {"instrument", "targets", "diagnosis"} & plan_file.goal.model_fields_set:
+        changes["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
     return changes
 
 
-def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
+def _scenario_of_plan(plan_file: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
     """Scenario that a plan file names, or that its tables describe."""
-    points = made.listed
-    tables = [name for name in TABLES if name in data]
-    if made.workshop is None and tables:
+    points = plan_file.listed_points
+    tables = [name for name in SCENARIO_TABLES if name in data]
+    if plan_file.workshop is None and tables:
         raise SetupError(
             f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
         )
-    if made.workshop is not None:
+    if plan_file.workshop is not None:
         if "scenario" in data:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
-        return _hall_scenario(made, data, points, path)
-    local = path.parent / made.scenario
-    return _with_points(load_scenario(local if local.is_file() else made.scenario), points, path)
+        return _hall_scenario(plan_file, data, points, path)
+    local = path.parent / plan_file.scenario
+    return _with_points(load_scenario(local if local.is_file() else plan_file.scenario), points, path)
 
 
-def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
+def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     """Check that names refer to existing objects and that new names are unused; raises SetupError."""
-    groups = sorted({point.group for point in made.listed if point.group})
+    groups = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
-        ("stations.fixed", made.stations.fixed, list(scenario.stations)),
-        ("reflectors.on", made.reflectors.on, [WALLS, *obstacles]),
-        ("reflectors.keep", made.reflectors.keep, scenario.target_names),
-        ("goal.effects", made.goal.effects, [effect.name for effect in CATALOGUE]),
-        ("reflectors.movable", made.reflectors.movable, [*groups, *(point.name for point in made.listed)]),
-        ("goal.tolerances", [t.group for t in made.goal.tolerances if t.group], groups),
+        ("stations.fixed", plan_file.stations.fixed, list(scenario.stations)),
+        ("reflectors.on", plan_file.reflectors.on, [WALLS_NAME, *obstacles]),
+        ("reflectors.keep", plan_file.reflectors.keep, scenario.target_names),
+        ("goal.effects", plan_file.goal.effects, [effect.name for effect in CATALOGUE]),
+        (
+            "reflectors.movable",
+            plan_file.reflectors.movable,
+            [*groups, *(point.name for point in plan_file.listed_points)],
+        ),
+        ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], groups),
     ):
         for name in wanted:
             if name not in names:
-                near = _near(name, names)
-                raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
-    new_names = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
+                near = _similar_names(name, names)
+                raise SetupError(
+                    f"{file}: {key} names '{quoted_text(name)}', which does not exist; did you mean {near}?"
+                )
+    new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     for name in new_names:
         if new_names.count(name) > 1 or name in scenario.target_names:
-            raise SetupError(f"{file}: reflectors has the name '{shown(name)}' twice, or a target has it")
+            raise SetupError(f"{file}: reflectors has the name '{quoted_text(name)}' twice, or a target has it")
 
 
-def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
-    if made.goal.tolerances and not made.listed:
+def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
+    if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
-    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
-    if given and not made.chooses:
+    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
+    if given and not plan_file.chooses_procedure:
         raise SetupError(
             f"{file}: {' and '.join(given)} without budget.hours has no effect; give the hours for the work, "
             "or fix faces and repeats in the table [work] of the scenario"
         )
-    if made.goal.diagnosis and not made.goal.effects:
+    if plan_file.goal.diagnosis and not plan_file.goal.effects:
         raise SetupError(f"{file}: goal.diagnosis has a weight, but goal.effects names no effect")
-    count, min_stations = made.stations.count or len(scenario.stations), made.stations.min_stations_per_target
+    count, min_stations = plan_file.stations.count or len(scenario.stations), plan_file.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
         raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
 
 
-def read_points(path: Path) -> tuple[Point, ...]:
+def read_points(path: Path) -> tuple[PointEntry, ...]:
     """Points of a list of coordinates in any format, with the keys of a point as additional columns.
 
     Raises SetupError.
     """
-    columns = list(Point.model_fields)[4:]
+    columns = list(PointEntry.model_fields)[4:]
     with as_setup_error():
         table = read_coordinates(path)
-        for name in table.further:
+        for name in table.additional_columns:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the unknown column '{shown(name)}'; {wanted}", file=path)
-        return tuple(_point(table, i, path) for i in range(len(table.names)))
+                raise RecordError(f"has the unknown column '{quoted_text(name)}'; {wanted}", file=path)
+        return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 
 
-def _point(table: Points, i: int, path: Path) -> Point:
-    where: dict[str, Any] = {"file": path, "row": table.lines[i]}
+def _point_from_table(table: PointList, i: int, path: Path) -> PointEntry:
+    where: dict[str, Any] = {"file": path, "row": table.line_numbers[i]}
 
     def further(column: str, usual: float | None) -> float | None:
-        text = table.further[column][i] if column in table.further else ""
+        text = table.additional_columns[column][i] if column in table.additional_columns else ""
         if not text:
             return usual
-        value = comma_number(text, column=column, **where)
+        value = parse_comma_number(text, column=column, **where)
         if not (value > 0 or (value == 0 and column == "weight")):
             raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
         return value
@@ -177,30 +183,30 @@ def _point(table: Points, i: int, path: Path) -> Point:
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
         raise RecordError("found nothing, expected a number", column=missing, **where)
-    group = table.further["group"][i] if "group" in table.further else ""
+    group = table.additional_columns["group"][i] if "group" in table.additional_columns else ""
     rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
     try:
-        return Point.model_validate({"name": table.names[i], "group": group, **place, **rest})
+        return PointEntry.model_validate({"name": table.names[i], "group": group, **place, **rest})
     except ValidationError as problem:
         first = problem.errors()[0]
         wanted = first["msg"].removeprefix("Value error, ")
         raise RecordError(
-            f"found {shown(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
+            f"found {quoted_text(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
         ) from None
 
 
-def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
+def _hall_scenario(plan_file: PlanFile, data: Mapping[str, Any], points: Sequence[PointEntry], file: Path) -> Scenario:
     """Scenario from the tables and points of a plan file; raises SetupError."""
-    table: dict[str, Any] = {"format": FORMAT, "title": made.title}
-    table |= {name: data[name] for name in TABLES if name in data}
+    table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
+    table |= {name: data[name] for name in SCENARIO_TABLES if name in data}
     table["work"] = {"order": "as-listed", **data.get("work", {})}
-    wide, deep, _ = made.workshop.size_mm if made.workshop else (0.0, 0.0, 0.0)
-    table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEIGHT_MM[0]], "yaw_deg": 0.0}}
+    wide, deep, _ = plan_file.workshop.size_mm if plan_file.workshop else (0.0, 0.0, 0.0)
+    table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEAD_HEIGHTS_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
-    scenario = scenario_from(table, file)
-    _check_size(points, scenario, file)
-    count = made.stations.count or INITIAL_STATIONS
-    places = _initial_places(made, scenario, count)
+    scenario = validate_scenario(table, file)
+    _require_plausible_extent(points, scenario, file)
+    count = plan_file.stations.count or N_INITIAL_STATIONS
+    places = _initial_places(plan_file, scenario, count)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)
@@ -208,7 +214,7 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     return scenario.model_copy(update={"stations": stations})
 
 
-def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> None:
+def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, file: object) -> None:
     """Check that points extend over more than a thousandth of the room (7.000 may mean seven thousand).
 
     Raises SetupError.
@@ -221,13 +227,13 @@ def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> No
         )
 
 
-def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
+def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object) -> Scenario:
     """Scenario with additional targets; points that are its targets already do not change."""
-    _check_size(points, scenario, file)
+    _require_plausible_extent(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
         place = np.array([point.x_mm, point.y_mm, point.z_mm])
-        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_POINT_MM:
+        if there is not None and np.abs(np.array(there.position_mm) - place).max() < MAX_SAME_POINT_DISTANCE_MM:
             continue
         if point.name in scenario.target_names:
             raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
@@ -236,22 +242,26 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
     return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
-def _initial_places(made: PlanFile, scenario: Scenario, count: int) -> Floats:
+def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
     """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
-    heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
-    areas, keep_outs = areas_and_keep_outs(made.floor, scenario.workshop.size_mm, heights)
-    obstacles, points = obstacles_of(scenario), planned(scenario).points
-    grid = np.concatenate([grid_over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
-    grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
+    heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
+    areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
+    obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
+    grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_mm), 1) for area in areas])
+    grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
-    visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
-    useful = visible.sum(axis=1) >= MIN_TARGETS
+    visible = compute_visibility(
+        grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
+    ).is_visible
+    useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
     if not useful.any():
         raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
-    spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
-    placement = Placement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
-    chosen = placement.stations(count, 1)
-    if len(chosen) < count:
-        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or enlarge it")
-    return placement.position[chosen]
+    spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
+    placement = StationPlacement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
+    chosen = placement.place_stations(n_stations, 1)
+    if len(chosen) < n_stations:
+        raise SetupError(
+            f"the floor has no room for {n_stations} tripods {spacing:g} m apart; ask for fewer, or enlarge it"
+        )
+    return placement.candidate_positions[chosen]

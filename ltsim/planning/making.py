@@ -5,121 +5,130 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import Progress, quiet
+from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.planner import PlannedNetwork, StationCountResult, TradeoffPoint, judge, measure
+from ltsim.planning.planner import (
+    PlannedNetwork,
+    StationCountResult,
+    TradeoffPoint,
+    evaluate_plan,
+    objective_and_qualities,
+)
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.site import Placement, SearchSpace
+from ltsim.planning.site import SearchSpace, StationPlacement
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, gathered, search_from_start
-from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Tolerances, is_feasible
-from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
+from ltsim.planning.starts import LayoutsByCount, PlanningProblem, SearchTask, run_searches, search_from_start
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.tolerances import PointTolerances, feasibility_and_ratio
+from ltsim.planning.workshop import layout_objective, make_search_space, min_sights_of_reflector, procedures
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
 MAX_SETUPS = 200_000
 """Largest number of set-ups of a grid that one search holds in memory."""
-SEARCH_SHARE = 0.8
+SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-MAX_IMPROVEMENT_FACTOR = 0.95
+MAX_ERROR_RATIO_PER_STATION = 0.95
 """Largest factor on the ratio of error to tolerance by which an additional station must reduce it; otherwise the search
 stops.
 """
-OPEN = (
+UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
 )
-STOPPED = "the search was stopped before it found a layout; let it run longer"
+STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
+"""Error message for a search that the user stopped before it had a layout."""
 
 
 @dataclass(frozen=True)
-class Follower:
+class SearchCallbacks:
     """Callbacks for the progress of a search."""
 
-    progress: Progress = quiet
-    say: Callable[[str], None] = quiet
+    on_progress: ProgressCallback = no_progress
+    on_sentence: Callable[[str], None] = no_progress
     """Callback for sentences on the best layout so far."""
-    keep: Callable[[Survey], None] = quiet
+    on_layout: Callable[[PlannedSurvey], None] = no_progress
     """Callback for the best layout so far."""
 
 
-def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> PlannedNetwork:
+def make_plan(
+    file: PlanFile, scenario: Scenario, *, jobs: int = 1, callbacks: SearchCallbacks | None = None
+) -> PlannedNetwork:
     """Planned network of a search; it is equal for any number of processes.
 
     Ctrl-C ends the search with the best layout so far, which the result states. Raises SetupError if no layout meets
     the rules of the plan.
     """
-    _check_size(file, scenario)
-    heard = follower or Follower()
-    heard.progress("searching layouts", 0.0)
-    search = _Search(PlanningProblem(file, scenario), jobs, heard)
-    best = search.fewest() if file.searches_count else search.at_count()
-    if not np.isfinite(best.value):
-        raise SetupError(OPEN)
-    heard.progress("check of tolerances and changes", SEARCH_SHARE)
-    made = judge(search.file, scenario, best.survey)
-    heard.progress("check of tolerances and changes", 1.0)
-    values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
+    _require_grid_fits_memory(file, scenario)
+    heard = callbacks or SearchCallbacks()
+    heard.on_progress("searching layouts", 0.0)
+    search = _PlanSearch(PlanningProblem(file, scenario), jobs, heard)
+    best = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
+    if not np.isfinite(best.objective_value):
+        raise SetupError(UNDETERMINED_LAYOUT_MESSAGE)
+    heard.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
+    made = evaluate_plan(search.file, scenario, best.survey)
+    heard.on_progress("check of tolerances and changes", 1.0)
+    values = search.layouts.get((len(best.survey.station_positions), len(best.survey.faces)), [])
     return replace(
         made,
-        options=search.options(search.layouts),
-        spread=tuple(sorted(value for value, _, _ in values)),
-        tried=tuple(search.tried),
-        stopped=search.stopped,
+        tradeoff_points=search.tradeoff_points(search.layouts),
+        start_objectives=tuple(sorted(value for value, _, _ in values)),
+        station_count_results=tuple(search.station_count_results),
+        is_stopped=search.is_stopped,
     )
 
 
 @dataclass
-class _Search:
+class _PlanSearch:
     """State of the planning: layouts for each measuring procedure, and selection of the plan."""
 
     problem: PlanningProblem
     jobs: int
-    heard: Follower
-    layouts: Layouts = field(default_factory=dict)
-    tried: list[StationCountResult] = field(default_factory=list)
-    stopped: bool = False
+    callbacks: SearchCallbacks
+    layouts: LayoutsByCount = field(default_factory=dict)
+    station_count_results: list[StationCountResult] = field(default_factory=list)
+    is_stopped: bool = False
 
     @property
     def file(self) -> PlanFile:
         return self.problem.file
 
     @property
-    def ways(self) -> tuple[list[int], list[int]]:
+    def procedures(self) -> tuple[list[int], list[int]]:
         """Numbers of faces and of rounds that may be chosen."""
-        return ways(self.file, self.problem.scenario)
+        return procedures(self.file, self.problem.scenario)
 
-    def _gather(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> Layouts:
+    def _run_searches(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> LayoutsByCount:
         """Layouts of the searches; the best so far is passed to the follower."""
         goal = self.file.goal
 
-        def keep(survey: Survey, value: float) -> None:
+        def keep(survey: PlannedSurvey, value: float) -> None:
             lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
             words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
-            self.heard.say(f"best layout so far: {len(survey.position)} stations, {words}")
-            self.heard.keep(survey)
+            self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {words}")
+            self.callbacks.on_layout(survey)
 
         def progress(done: float) -> None:
-            self.heard.progress("searching layouts", SEARCH_SHARE * share(done))
+            self.callbacks.on_progress("searching layouts", SEARCH_PROGRESS_FRACTION * share(done))
 
-        made, stopped = gathered(self.problem, tasks, self.jobs, progress, keep)
+        made, stopped = run_searches(self.problem, tasks, self.jobs, progress, keep)
         self.layouts |= made
-        self.stopped |= stopped
+        self.is_stopped |= stopped
         return made
 
-    def at_count(self) -> TradeoffPoint:
+    def best_with_count(self) -> TradeoffPoint:
         """Best layout for a given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.file.stations.count or len(scenario.stations), scenario.work
-        site = site_of(self.file, scenario, stations=count, faces=work.faces)
-        file = with_reachable_sights(self.file, site)
+        site = make_search_space(self.file, scenario, stations=count, faces=work.faces)
+        file = with_feasible_sights(self.file, site)
         self.problem = replace(self.problem, file=file)
-        faces, settings = self.ways[0], file.search
+        faces, settings = self.procedures[0], file.search
         usual_faces = work.faces if work.faces in faces else faces[-1]
         tasks = [
             SearchTask(n, f, start)
@@ -127,128 +136,147 @@ class _Search:
             for n in sorted({*file.stations.tradeoff_counts, count})
             for start in range(settings.starts if (n, f) == (count, usual_faces) else settings.tradeoff_starts)
         ]
-        self._gather(tasks, lambda share: share)
-        if (count, usual_faces) not in self.layouts and not self.stopped:
+        self._run_searches(tasks, lambda share: share)
+        if (count, usual_faces) not in self.layouts and not self.is_stopped:
             search_from_start(
                 self.problem, SearchTask(count, usual_faces, 0)
             )  # the same search again, for its sentence
-        options = self.options(self.layouts)
+        options = self.tradeoff_points(self.layouts)
         if not options:
-            raise SetupError(STOPPED)
+            raise SetupError(STOPPED_MESSAGE)
         hours = file.budget.hours
         if hours is None:
-            return min(options, key=lambda o: (len(o.survey.position) != count, o.value))
+            return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
         paid = [o for o in options if o.hours <= hours]
         if not paid:
             cheapest = min(o.hours for o in options)
             raise SetupError(
                 f"budget.hours is {hours:g} h, but the cheapest way of working takes {cheapest:.1f} h; give more hours"
             )
-        return min(paid, key=lambda o: o.value)
+        return min(paid, key=lambda o: o.objective_value)
 
-    def fewest(self) -> TradeoffPoint:
+    def with_fewest_stations(self) -> TradeoffPoint:
         """Layout with the fewest stations that meets the tolerances, with the fastest measuring procedure for it.
 
         If none meets them, it is the closest one.
         """
-        demands, scenario = Tolerances.of(self.file), self.problem.scenario
-        alone = demands.robust == "no"
-        if not self.file.asks_for_sights:
-            least = fewest_sights(scenario) + (not alone)
+        demands, scenario = PointTolerances.from_plan_file(self.file), self.problem.scenario
+        alone = demands.withstood_loss == "no"
+        if not self.file.requires_sights:
+            least = min_sights_of_reflector(scenario) + (not alone)
             self.problem = replace(self.problem, file=self.file.with_min_stations(least))
-        file, faces = self.file, self.ways[0]
+        file, faces = self.file, self.procedures[0]
         min_stations = file.stations.min_stations_per_target
         first = max(
             MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
         )
         counts = range(first, max(first, file.stations.max_count) + 1)
-        placement = check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
+        placement = require_visible_points(
+            make_search_space(file, scenario, stations=counts[-1], faces=faces[-1]), file
+        )
         judgements: list[tuple[float, TradeoffPoint]] = []
         k = 0
         for n in counts:
             if n < counts[-1] and (
-                lacking := _unseen_by_all_layouts(self.problem.site(SearchTask(n, faces[-1], 0)), placement)
+                lacking := _never_visible_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
             ):
-                self.tried.append(StationCountResult(n, None, False, lacking))
+                self.station_count_results.append(StationCountResult(n, None, False, lacking))
                 continue
             tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
             # Few stations are likely enough: each further number counts half of what is left.
-            made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
-            options = self.options({key: self._nearest(layouts, demands) for key, layouts in made.items()})
+            made = self._run_searches(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
+            options = self.tradeoff_points(
+                {key: self._closest_layout(layouts, demands) for key, layouts in made.items()}
+            )
             paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
-            results = [(*is_feasible(option.survey, demands, self.problem.built), option) for option in paid]
+            results = [
+                (*feasibility_and_ratio(option.survey, demands, self.problem.construction), option) for option in paid
+            ]
             judgements += [(ratio, option) for _, ratio, option in results]
-            self.tried.append(
+            self.station_count_results.append(
                 StationCountResult(n, min((ratio for _, ratio, _ in results), default=None), bool(options))
             )
             good = [option for feasible, _, option in results if feasible]
             k += 1
             if good:
                 return min(good, key=lambda o: o.hours)
-            if self.stopped or self._levels_off():
+            if self.is_stopped or self._has_converged():
                 break
         if not judgements:
             raise SetupError(self._no_layout_message(counts))
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
-    def _nearest(
-        self, layouts: list[tuple[float, int, Survey]], demands: Tolerances
-    ) -> list[tuple[float, int, Survey]]:
+    def _closest_layout(
+        self, layouts: list[tuple[float, int, PlannedSurvey]], demands: PointTolerances
+    ) -> list[tuple[float, int, PlannedSurvey]]:
         """Layout, among those of several starts, that comes closest to the tolerances."""
         if len(layouts) == 1:
             return layouts
         return [
             min(
                 layouts,
-                key=lambda layout: (is_feasible(layout[2], demands, self.problem.built)[1], layout[0], layout[1]),
+                key=lambda layout: (
+                    feasibility_and_ratio(layout[2], demands, self.problem.construction)[1],
+                    layout[0],
+                    layout[1],
+                ),
             )
         ]
 
-    def _levels_off(self) -> bool:
-        """True if neither of the last two additional stations reduced the largest error by `MAX_IMPROVEMENT_FACTOR`."""
-        ratios = [outcome.ratio if outcome.ratio is not None else np.inf for outcome in self.tried]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_IMPROVEMENT_FACTOR**2 * ratios[-3]
+    def _has_converged(self) -> bool:
+        """True if neither of the last two additional stations reduced the largest error enough."""
+        ratios = [
+            outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
+            for outcome in self.station_count_results
+        ]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_PER_STATION**2 * ratios[-3]
 
     def _no_layout_message(self, counts: range) -> str:
         hours = self.file.budget.hours
-        if self.stopped:
-            return STOPPED
-        if hours and any(outcome.has_layout for outcome in self.tried):
+        if self.is_stopped:
+            return STOPPED_MESSAGE
+        if hours and any(outcome.has_layout for outcome in self.station_count_results):
             return (
                 f"no layout of {counts[0]} to {counts[-1]} stations takes at most {hours:g} h; give more budget.hours"
             )
         try:
-            search_from_start(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
+            search_from_start(self.problem, SearchTask(counts[-1], self.procedures[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
         return "the search found no layout; enlarge the floor or give more stations.max_count"
 
-    def options(self, layouts: Layouts) -> tuple[TradeoffPoint, ...]:
+    def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
         """Best layout of every measuring procedure and number of repeats, in the order of cost."""
         made = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
-            for repeats in self.ways[1]:
+            for repeats in self.procedures[1]:
                 repeated = survey.replace(repeats=repeats)
-                objective = objective_of(self.file, repeated)
-                made.append(TradeoffPoint(repeated, *measure(repeated, objective, self.problem.built)))
+                objective = layout_objective(self.file, repeated)
+                made.append(
+                    TradeoffPoint(repeated, *objective_and_qualities(repeated, objective, self.problem.construction))
+                )
         if not made:
             return ()
-        made.sort(key=lambda option: (option.hours, option.value))
-        best = np.minimum.accumulate([option.value for option in made])
+        made.sort(key=lambda option: (option.hours, option.objective_value))
+        best = np.minimum.accumulate([option.objective_value for option in made])
         earlier = np.r_[np.inf, best[:-1]]
-        return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
+        return tuple(
+            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(made, earlier, strict=True)
+        )
 
 
-def _unseen_by_all_layouts(site: SearchSpace, placement: Placement) -> str:
+def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
     """Text of the points that neither any layout on the grid nor the present one sees; empty for none."""
-    position = site.survey.position
-    if site.feasible(position[None], site.visible(position)[None])[0]:
+    position = site.survey.station_positions
+    if site.is_feasible(position[None], site.is_visible(position)[None])[0]:
         return ""
-    return site.unseen_targets(placement, placement.stations(len(position) - len(site.fixed), site.min_sights))
+    return site.unseen_targets_text(
+        placement, placement.place_stations(len(position) - len(site.fixed_stations), site.min_sights)
+    )
 
 
-def _check_size(file: PlanFile, scenario: Scenario) -> None:
+def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
     """Check that the grid of set-ups fits into memory; raises SetupError."""
     step = file.search.grid_mm
     if step is None:
@@ -264,39 +292,43 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def most_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
+def max_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
     """Largest number of stations that can see every reflector in some layout, and the limiting reflector.
 
     It is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
-    placement, names = site.placement(step, heights), site.survey.target_names
-    limiting = names[int(np.argmin(placement.visible.mean(axis=0)))]
-    count = len(site.survey.position) - len(site.fixed)
-    enough = (k for k in range(site.min_sights, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
+    placement, names = site.greedy_placement(step, heights), site.survey.target_names
+    limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
+    count = len(site.survey.station_positions) - len(site.fixed_stations)
+    enough = (
+        k
+        for k in range(site.min_sights, 0, -1)
+        if not placement.missing_sights(placement.place_stations(count, k), k).any()
+    )
     return next(enough, 0), limiting
 
 
-def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
+def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     """Plan file with a value of `stations.min_stations_per_target` that some layout meets.
 
     A given value is not reduced; instead SetupError reports the largest possible value.
     """
-    settings, count = file.search, len(site.survey.position)
-    step = grid_step(site.areas, settings.grid_mm)
-    reachable, limiting = most_sights(site, step, settings.heights)
+    settings, count = file.search, len(site.survey.station_positions)
+    step = grid_step(site.allowed_areas, settings.grid_mm)
+    reachable, limiting = max_sights(site, step, settings.heights)
     if reachable >= site.min_sights:
         return file
 
     def refused(least: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
-        searcher = LayoutSearcher(site.replace(min_sights=least), step=step, yaws=1, heights=settings.heights)
+        searcher = LayoutSearcher(site.replace(min_sights=least), grid_step=step, n_yaws=1, n_heights=settings.heights)
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
         except SetupError as problem:
             return problem
         return None
 
-    if not file.asks_for_sights and reachable:
+    if not file.requires_sights and reachable:
         while reachable > 1 and refused(reachable):
             reachable -= 1
         return file.with_min_stations(reachable)
@@ -305,7 +337,7 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return file
     if not reachable:
         raise problem
-    cure = "remove a station from stations.fixed" if len(site.fixed) else "enlarge the floor"
+    cure = "remove a station from stations.fixed" if len(site.fixed_stations) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {site.min_sights} of {count} stations to see every reflector, but "
         f"at most {reachable} can, and {limiting} is visible from the fewest places: set "
@@ -313,9 +345,9 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     )
 
 
-def check_in_sight(site: SearchSpace, file: PlanFile) -> Placement:
+def require_visible_points(site: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate places of stations; raises SetupError with the names of points that no place sees."""
-    placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
-    if not placement.visible.any(axis=0).all():
-        raise SetupError(site.out_of_sight(np.flatnonzero(~placement.visible.any(axis=0))))
+    placement = site.greedy_placement(grid_step(site.allowed_areas, file.search.grid_mm), file.search.heights)
+    if not placement.is_visible.any(axis=0).all():
+        raise SetupError(site.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
     return placement

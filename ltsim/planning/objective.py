@@ -20,11 +20,16 @@ import numpy as np
 from ltsim.adjustment.remedies.detectability import search_noncentrality
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect
-from ltsim.planning.fast import Reduced
+from ltsim.planning.fast import LayoutPrecision
 
 CriterionName = Literal["D", "A", "E"]
-INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
-MIN_IMPROVEMENT = 1e-4
+INSTRUMENT_QUALITY = "instrument"
+"""Name of the quality: a criterion of the instrument's parameters."""
+TARGETS_QUALITY = "targets"
+"""Name of the quality: point errors of the targets."""
+DIAGNOSIS_QUALITY = "diagnosis"
+"""Name of the quality: minimal detectable sizes of effects."""
+MIN_SWEEP_IMPROVEMENT = 1e-4
 """Relative improvement below which a sweep of exchanges counts as unsuccessful."""
 
 
@@ -47,64 +52,67 @@ def e_criterion(covariance: Floats) -> Floats:
     return np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
 
 
-CRITERIA: dict[CriterionName, Callable[[Floats], Floats]] = {
+CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
     "D": d_criterion,
     "A": a_criterion,
     "E": e_criterion,
 }
+"""Optimality criteria of the instrument's parameters, by name."""
 
 
 @dataclass(frozen=True)
-class Objective:
+class LayoutObjective:
     """Objective as a weighted geometric mean of up to three qualities."""
 
-    weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
+    quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY: 1.0})
     """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error
     [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
     """
-    criterion: CriterionName = "D"
+    criterion_name: CriterionName = "D"
     """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
     """Effects that a diagnosis should detect."""
-    places: Mapping[str, int] = field(default_factory=dict)
+    n_places_by_effect: Mapping[str, int] = field(default_factory=dict)
     """Number of places and shapes that a diagnosis searches, by name of the effect; default the number in `effects`."""
 
     @property
-    def wants_targets(self) -> bool:
+    def needs_target_errors(self) -> bool:
         """True if the objective needs point errors of targets."""
-        return self.weights.get(TARGETS, 0.0) > 0.0
+        return self.quality_weights.get(TARGETS_QUALITY, 0.0) > 0.0
 
-    def qualities(self, reduced: Reduced, parameters: int) -> dict[str, Floats]:
+    def qualities(self, precision: LayoutPrecision, parameters: int) -> dict[str, Floats]:
         """Qualities (B,) with a weight; infinite for an undetermined layout."""
         qualities: dict[str, Floats] = {}
-        if self.weights.get(INSTRUMENT, 0.0) > 0.0:
-            qualities[INSTRUMENT] = self._instrument(reduced.information[:, :parameters, :parameters])
-        if self.wants_targets:
-            qualities[TARGETS] = reduced.target_rms
-        if self.weights.get(DIAGNOSIS, 0.0) > 0.0:
-            qualities[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects, self.places)
+        if self.quality_weights.get(INSTRUMENT_QUALITY, 0.0) > 0.0:
+            qualities[INSTRUMENT_QUALITY] = self._instrument_quality(precision.information[:, :parameters, :parameters])
+        if self.needs_target_errors:
+            qualities[TARGETS_QUALITY] = precision.target_rms
+        if self.quality_weights.get(DIAGNOSIS_QUALITY, 0.0) > 0.0:
+            qualities[DIAGNOSIS_QUALITY] = mean_detectable_size(
+                precision.information, parameters, self.effects, self.n_places_by_effect
+            )
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
-    def values(self, reduced: Reduced, parameters: int) -> Floats:
+    def objective_values(self, precision: LayoutPrecision, parameters: int) -> Floats:
         """Weighted geometric mean of the qualities, (B,)."""
-        qualities = self.qualities(reduced, parameters)
-        total = sum(self.weights[name] for name in qualities)
-        logs = [self.weights[name] / total * np.log(value) for name, value in qualities.items()]
+        qualities = self.qualities(precision, parameters)
+        total = sum(self.quality_weights[name] for name in qualities)
+        logs = [self.quality_weights[name] / total * np.log(value) for name, value in qualities.items()]
         return np.exp(np.sum(logs, axis=0))
 
-    def _instrument(self, information: Floats) -> Floats:
+    def _instrument_quality(self, information: Floats) -> Floats:
         value = np.full(len(information), np.inf)
         good = np.isfinite(information).all(axis=(1, 2))
         if good.any():
-            value[good] = CRITERIA[self.criterion](np.asarray(np.linalg.inv(information[good])))
+            value[good] = CRITERION_FUNCTIONS[self.criterion_name](np.asarray(np.linalg.inv(information[good])))
         return value
 
 
-def smallest_sizes(
-    information: Floats, parameters: int, effects: Sequence[Effect], places: Mapping[str, int] | None = None
+def mean_detectable_size(
+    information: Floats, parameters: int, effects: Sequence[Effect], n_places_by_effect: Mapping[str, int] | None = None
 ) -> Floats:
     """Geometric mean (B,), over the effects' parameters, of minimal detectable size divided by plausible size."""
-    sought = {**Counter(effect.name for effect in effects), **(places or {})}
+    sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
     parameter_block = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)
     good = np.isfinite(information).all(axis=(1, 2))

@@ -7,13 +7,13 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings.result_file import Entry, Finite, Vector
 
 
-def in_millimetres(place: Floats, decimals: int = 1) -> Vector:
+def to_millimetres(point: Floats, decimals: int = 1) -> Vector:
     """Place (3,) [m] converted to millimetres for a result file."""
-    x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
+    x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in point)
     return x, y, z
 
 
-def in_degrees(angle: float) -> float:
+def to_degrees(angle: float) -> float:
     """Angle [rad] converted to degrees (0 to 360) for a result file."""
     return round(float(angle) / DEGREE % 360, 2)
 
@@ -45,7 +45,7 @@ class PlanChange(Entry):
     """Factor on the standard deviation of that parameter or target; below 1 is better."""
 
     @property
-    def deed(self) -> str:
+    def action_text(self) -> str:
         """Text of the change, with the place in metres."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from pydantic import Field
 
-from ltsim.calibration.combinations import Combination
-from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
-from ltsim.planning.objective import TARGETS
-from ltsim.planning.plan_change import in_degrees, in_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, is_met, percent
+from ltsim.calibration.combinations import UndeterminedEntry
+from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
+from ltsim.planning.objective import TARGETS_QUALITY
+from ltsim.planning.plan_change import to_degrees, to_millimetres
+from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
     from ltsim.adjustment.remedies.detectability import MinimalSize
-    from ltsim.planning.information import ExpectedErrors, LayoutInformation
+    from ltsim.planning.information import ExpectedCriteria, LayoutInformation
     from ltsim.planning.planner import LayoutEvaluation, TradeoffPoint
-    from ltsim.planning.survey import Survey
+    from ltsim.planning.survey import PlannedSurvey
 
-Qualities = dict[str, OptionalFloat]
-Sizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
+QualityValues = dict[str, OptionalFloat]
+ComponentSizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z, or an empty tuple."""
 
 
@@ -34,24 +34,24 @@ class StationEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-    sigma_position_um: Sizes = ()
+    sigma_position_um: ComponentSizes = ()
     """Expected standard deviation of x, y and z."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
 
     @classmethod
-    def places(cls, survey: Survey) -> tuple[Self, ...]:
+    def without_precision(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
         """Entries of the stations of a survey, without their precision."""
-        rows = zip(survey.station_names, survey.position, survey.yaw, strict=True)
+        rows = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
-            cls(name=name, position_mm=in_millimetres(place), yaw_deg=in_degrees(yaw)) for name, place, yaw in rows
+            cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw)) for name, place, yaw in rows
         )
 
     @classmethod
-    def of(cls, layout: LayoutEvaluation) -> tuple[Self, ...]:
+    def from_layout(cls, layout: LayoutEvaluation) -> tuple[Self, ...]:
         """Entries of the stations of a layout, with their expected precision."""
         sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
-        counts = layout.survey.visible.sum(axis=1).tolist()
+        counts = layout.survey.is_visible.sum(axis=1).tolist()
         return tuple(
             cls(
                 name=place.name,
@@ -60,7 +60,7 @@ class StationEntry(Entry):
                 sigma_position_um=tuple(np.round(station_sigma, 2).tolist()),
                 visible_reflectors=count,
             )
-            for place, station_sigma, count in zip(cls.places(layout.survey), sigma, counts, strict=True)
+            for place, station_sigma, count in zip(cls.without_precision(layout.survey), sigma, counts, strict=True)
         )
 
 
@@ -73,7 +73,7 @@ class ReflectorEntry(Entry):
     """Centre of the reflector, in the workshop's frame."""
     sigma_um: OptionalFloat
     """Expected standard deviation of the point: square root of the trace of its covariance."""
-    u_um: Sizes = Field(default=(), alias="U_um")
+    u_um: ComponentSizes = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
@@ -89,31 +89,32 @@ class ReflectorEntry(Entry):
     """True if the tolerance is met; null without one."""
 
     @classmethod
-    def of(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
+    def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
         """Entries of the reflectors of a layout with expected precision, and with tolerances if it has a check."""
         survey, information = layout.survey, layout.information
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
             cls(
                 name=name,
-                position_mm=in_millimetres(survey.points[t], 3),
-                sigma_um=round(float(information.target_sigma[t]) / MICROMETRE, 2),
+                position_mm=to_millimetres(survey.target_points[t], 3),
+                sigma_um=round(float(information.target_sigmas[t]) / MICROMETRE, 2),
                 U_um=tuple(np.round(expanded[t], 2).tolist()),
-                stations_seeing=int(survey.visible[:, t].sum()),
-                visible_from=tuple(survey.station_names[s] for s in np.flatnonzero(survey.visible[:, t])),
-                **cls._against(name, check),
+                stations_seeing=int(survey.is_visible[:, t].sum()),
+                visible_from=tuple(survey.station_names[s] for s in np.flatnonzero(survey.is_visible[:, t])),
+                **cls._tolerance_fields(name, check),
             )
             for t, name in enumerate(survey.target_names)
         )
 
     @staticmethod
-    def _against(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
+    def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
         """Fields of a point with a tolerance; empty for another point."""
-        if check is None or name not in check.radius:
+        if check is None or name not in check.error_by_point:
             return {}
-        within, used = check.radius[name] / MILLIMETRE, check.used(name)
+        within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": is_met(used),
+            "within_mm": within, "tolerance_mm": check.tolerance_by_point[name] / MILLIMETRE,
+            "used": used, "met": is_met(used),
         }  # fmt: skip
 
 
@@ -132,17 +133,17 @@ class PlannedParameterEntry(Entry):
     """Fraction of the prior variance that the readings would remove."""
 
     @classmethod
-    def of(cls, information: LayoutInformation) -> tuple[Self, ...]:
+    def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:
         """Entries of the instrument's parameters in units of display."""
         rows = zip(
-            information.construction.parameters, information.instrument_sigma, information.prior_sigma, strict=True
+            information.construction.parameters, information.instrument_sigmas, information.prior_sigma, strict=True
         )
         return tuple(
             cls(
                 name=p.name,
                 unit=p.unit,
-                sigma=float(sigma / p.factor),
-                prior_sigma=float(prior / p.factor),
+                sigma=float(sigma / p.si_per_display_unit),
+                prior_sigma=float(prior / p.si_per_display_unit),
                 gain=float(1.0 - (sigma / prior) ** 2),
             )
             for p, sigma, prior in rows
@@ -160,7 +161,7 @@ class ImprovementEntry(Entry):
     """Reduction of the mean by the calibration."""
 
     @classmethod
-    def of(cls, expected: ExpectedErrors) -> dict[str, Self]:
+    def from_criteria(cls, expected: ExpectedCriteria) -> dict[str, Self]:
         """Both criteria of one request, by name."""
         e = expected
         criteria = {
@@ -173,7 +174,7 @@ class ImprovementEntry(Entry):
         }
 
 
-class WorkEntry(Entry):
+class ProcedureEntry(Entry):
     """Measuring procedure: numbers of faces and rounds, and duration."""
 
     faces: int = 1
@@ -184,19 +185,19 @@ class WorkEntry(Entry):
     """Number of pointings."""
     hours: Finite
     """Duration of the whole measurement [h]."""
-    quality: Qualities = Field(default_factory=dict)
+    quality: QualityValues = Field(default_factory=dict)
     """Qualities with a weight in the goal, by name; smaller is better."""
 
     @staticmethod
-    def _work(survey: Survey, qualities: dict[str, float]) -> dict[str, Any]:
+    def _procedure_fields(survey: PlannedSurvey, qualities: dict[str, float]) -> dict[str, Any]:
         """Fields of the measuring procedure of a survey."""
         return {
-            "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.pointings,
-            "hours": round(survey.seconds / 3600, 3), "quality": qualities,
+            "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.n_pointings,
+            "hours": round(survey.duration / 3600, 3), "quality": qualities,
         }  # fmt: skip
 
 
-class LayoutEntry(WorkEntry):
+class LayoutEntry(ProcedureEntry):
     """Layout with its expected precision before measurement."""
 
     broken_rules: tuple[str, ...] = ()
@@ -207,7 +208,7 @@ class LayoutEntry(WorkEntry):
     """Reflectors of the mesh."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
     """Instrument parameters with their expected precision."""
-    undetermined: tuple[Combination, ...] = ()
+    undetermined: tuple[UndeterminedEntry, ...] = ()
     """Undetermined combinations of instrument parameters."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement, by the paper's criteria."""
@@ -215,27 +216,36 @@ class LayoutEntry(WorkEntry):
     """Station and reflector pairs without visibility, with the reason, one sentence each."""
 
     @classmethod
-    def of_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **further: Any) -> Self:
-        """Entry of a layout, with a check against its tolerances; `further` are the additional fields of a subclass."""
+    def from_evaluation(
+        cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **extra_fields: Any
+    ) -> Self:
+        """Entry of a layout, with a check against its tolerances.
+
+        `extra_fields` are the additional fields of a subclass.
+        """
         information, survey = layout.information, layout.survey
-        names = information.construction.names
+        names = information.construction.parameter_names
         return cls(
-            broken_rules=tuple(rule.words for rule in layout.broken),
-            stations=StationEntry.of(layout),
-            reflectors=ReflectorEntry.of(layout, check),
-            parameters=PlannedParameterEntry.of(information),
+            broken_rules=tuple(rule.sentence for rule in layout.broken_rules),
+            stations=StationEntry.from_layout(layout),
+            reflectors=ReflectorEntry.from_layout(layout, check),
+            parameters=PlannedParameterEntry.from_information(information),
             undetermined=tuple(
-                Combination(combination=d.coefficients(names), gain=d.gain, cure=cure)
-                for d, cure in zip(information.undetermined, information.cures(), strict=True)
+                UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=cure)
+                for d, cure in zip(
+                    information.undetermined_combinations, information.determining_sentences(), strict=True
+                )
             ),
-            expected_improvement=None if layout.expected is None else ImprovementEntry.of(layout.expected),
-            blocked_sights=tuple(layout.table.lost(survey.station_names, survey.target_names)),
-            **cls._work(survey, layout.qualities),
-            **further,
+            expected_improvement=None
+            if layout.expected_criteria is None
+            else ImprovementEntry.from_criteria(layout.expected_criteria),
+            blocked_sights=tuple(layout.visibility.invisible_pair_sentences(survey.station_names, survey.target_names)),
+            **cls._procedure_fields(survey, layout.qualities),
+            **extra_fields,
         )
 
 
-class OptionEntry(WorkEntry):
+class TradeoffEntry(ProcedureEntry):
     """Measuring procedure with its best layout."""
 
     stations: int
@@ -248,20 +258,20 @@ class OptionEntry(WorkEntry):
     """Stations of the layout."""
 
     @classmethod
-    def of(cls, option: TradeoffPoint) -> Self:
+    def from_tradeoff_point(cls, option: TradeoffPoint) -> Self:
         """Entry of a point on the curve of cost against quality."""
         return cls(
-            stations=len(option.survey.position),
-            value=option.value,
-            efficient=option.efficient,
-            layout=StationEntry.places(option.survey),
-            **cls._work(option.survey, option.qualities),
+            stations=len(option.survey.station_positions),
+            value=option.objective_value,
+            efficient=option.is_efficient,
+            layout=StationEntry.without_precision(option.survey),
+            **cls._procedure_fields(option.survey, option.qualities),
         )
 
     @property
     def value_um(self) -> float | None:
         """Objective in micrometres if the goal is the error of the targets alone; None for another goal."""
-        return None if self.value is None or set(self.quality) != {TARGETS} else self.value / MICROMETRE
+        return None if self.value is None or set(self.quality) != {TARGETS_QUALITY} else self.value / MICROMETRE
 
 
 class LossEntry(Entry):
@@ -279,15 +289,21 @@ class LossEntry(Entry):
     """Points with a tolerance that no station sees after the loss."""
 
     @classmethod
-    def of(cls, check: ToleranceCheck) -> Self:
+    def from_check(cls, check: ToleranceCheck) -> Self:
         """Entry of a check after a loss."""
-        return cls(lost=check.lost, met=check.good, ratio=check.ratio, worst=check.worst, unseen=check.unseen)
+        return cls(
+            lost=check.lost_text,
+            met=check.meets_all,
+            ratio=check.max_ratio,
+            worst=check.worst_point_name,
+            unseen=check.unseen_points,
+        )
 
     @property
-    def used(self) -> str:
+    def ratio_text(self) -> str:
         """Text of the ratio in percent, of an undetermined network, or empty for a hidden point."""
         if self.ratio is not None:
-            return percent(self.ratio)
+            return percent_text(self.ratio)
         return "" if self.unseen else "not determined"
 
 
@@ -314,19 +330,19 @@ class DetectableSize(Entry):
     """Median fraction of the effect's signature that remains in the residuals."""
 
     @classmethod
-    def of(cls, row: MinimalSize) -> Self:
+    def from_minimal_size(cls, row: MinimalSize) -> Self:
         """Entry of a minimal detectable size in units of display."""
-        factor = FACTOR[row.unit]
+        factor = SI_PER_UNIT[row.unit]
         return cls(
             effect=row.effect,
             parameter=row.parameter,
             unit=row.unit,
-            best=row.best / factor,
-            typical=row.typical / factor,
-            worst=row.worst / factor,
+            best=row.best_size / factor,
+            typical=row.median_size / factor,
+            worst=row.worst_size / factor,
             worst_at=row.worst_place,
             plausible=row.prior_sigma / factor,
-            visible=row.visible,
+            visible=row.visible_fraction,
         )
 
 
@@ -344,7 +360,7 @@ class ConfusablePair(Entry):
     """Fraction of the signature that the second effect explains; 1 for all of it."""
 
     @classmethod
-    def of(cls, pair: tuple[str, str, float]) -> Self:
+    def from_pair(cls, pair: tuple[str, str, float]) -> Self:
         """Entry of a pair in a detectability report."""
         effect, taken_for, share = pair
         return cls(effect=effect, taken_for=taken_for, share=share)

@@ -5,11 +5,11 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
-from ltsim.adjustment.remedies.next_measurement import Proposal, RankedProposals
-from ltsim.adjustment.remedies.remedy import listed
+from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
+from ltsim.adjustment.remedies.remedy import list_text
 from ltsim.core.results import Column, Table, columns_of, texts
 from ltsim.physics.effects import title_of
-from ltsim.planning.plan_change import in_degrees, in_millimetres
+from ltsim.planning.plan_change import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 
@@ -43,25 +43,25 @@ class ProposalEntry(Entry):
     """Direction of azimuth zero at a new set-up; null for other measurements."""
 
     @classmethod
-    def of(cls, proposal: Proposal) -> Self:
+    def from_proposal(cls, proposal: MeasurementProposal) -> Self:
         """Entry of a proposal of `next_measurement`."""
-        p, there = proposal, proposal.remedy.set_up
+        p, there = proposal, proposal.remedy.added_setup_on_plan
         return cls(
-            do=p.remedy.words,
+            do=p.remedy.instruction,
             kind=p.remedy.kind,
-            minutes=round(p.remedy.seconds / 60, 2),
-            sharper=p.sharper,
-            serves=p.serves,
-            serves_factor=p.serves_factor,
-            evidence=p.evidence,
-            distinguishes=p.distinguished,
-            decides=p.decides,
-            position_mm=in_millimetres(there[0]) if there else None,
-            yaw_deg=in_degrees(there[1]) if there else None,
+            minutes=round(p.remedy.duration / 60, 2),
+            sharper=p.sigma_ratio,
+            serves=p.most_improved_parameter,
+            serves_factor=p.most_improved_ratio,
+            evidence=p.expected_chi2,
+            distinguishes=p.distinguished_explanations,
+            decides=p.distinguishes_all,
+            position_mm=to_millimetres(there[0]) if there else None,
+            yaw_deg=to_degrees(there[1]) if there else None,
         )
 
 
-NEXT = Table(
+PROPOSALS_TABLE = Table(
     "next.csv",
     "proposals of further measurements in the order of benefit",
     columns_of(
@@ -96,27 +96,27 @@ class NextMeasurement(ResultFile):
     """Proposals of additional measurements, the best first."""
 
     @classmethod
-    def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
+    def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
         """Result with the proposals for a recording."""
         return cls(
             recording=source,
-            between=ranked.between,
-            evidence_now=ranked.evidence_now,
-            advice=ranked.advice,
-            proposals=tuple(ProposalEntry.of(proposal) for proposal in ranked.proposals),
+            between=ranked.compared_explanations,
+            evidence_now=ranked.present_chi2,
+            advice=ranked.advice_sentence,
+            proposals=tuple(ProposalEntry.from_proposal(proposal) for proposal in ranked.proposals),
         )
 
     def _lines(self) -> list[str]:
-        question = f" between {listed([title_of(name) for name in self.between])}" if self.between else ""
+        question = f" between {list_text([title_of(name) for name in self.between])}" if self.between else ""
         return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"proposals": self._proposals, "separation": self._separation}
+        return {"proposals": self._proposals_table, "separation": self._evidence_table}
 
-    def _proposals(self) -> Table:
-        return NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
+    def _proposals_table(self) -> Table:
+        return PROPOSALS_TABLE.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
 
-    def _separation(self) -> Table:
+    def _evidence_table(self) -> Table:
         """Table of the evidence between the first explanation and each other one: now, and after each measurement."""
         rivals = self.between[1:]
         against = tuple(

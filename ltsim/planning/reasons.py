@@ -6,139 +6,177 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.adjustment.unmodelled import counted_air, longest_sight
+from ltsim.adjustment.unmodelled import longest_range, relevant_air
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.objective import DIAGNOSIS_QUALITY, INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
 from ltsim.planning.plan_entries import PlannedParameterEntry
-from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork, StationCountResult, TradeoffPoint, measure
-from ltsim.planning.site import MAX_NAMED, too_near, words_of
+from ltsim.planning.planner import (
+    LayoutEvaluation,
+    PlannedNetwork,
+    StationCountResult,
+    TradeoffPoint,
+    objective_and_qualities,
+)
+from ltsim.planning.site import MAX_LISTED_NAMES, broken_rules_text, is_too_near
 from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
-from ltsim.planning.workshop import objective_of
+from ltsim.planning.workshop import layout_objective
 
-GAIN = " (gain "
+BENEFIT_PREFIX = " (gain "
 """Text before the gain of a measurement; a sentence without it names no measurement."""
-CRITERION_WORDS = {
+CRITERION_PHRASES = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
     "E": "in the worst combination (E)",
 }
+"""Phrases for the optimality criteria."""
 
 
-def reasons(plan: PlannedNetwork) -> list[str]:
+def reason_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the reasons for a plan, the result first."""
-    sentences = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
-    return [*sentences, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
+    sentences = [
+        *_result_sentence(plan),
+        *_tolerance_sentences(plan),
+        *_reference_sentence(plan),
+        *_station_contribution_sentences(plan),
+    ]
+    return [
+        *sentences,
+        *_air_sentence(plan),
+        *_limit_sentences(plan),
+        *_tradeoff_sentences(plan),
+        *_undetermined_sentence(plan),
+        *_search_sentence(plan),
+    ]
 
 
-def _quality_words(plan: PlannedNetwork) -> str:
+def _quality_text(plan: PlannedNetwork) -> str:
     templates = {
-        INSTRUMENT: "instrument parameters known to {:.3f} of their prior sigma "
-        + CRITERION_WORDS[plan.file.goal.criterion],
-        TARGETS: "targets known to {:.1f} um (root mean square)",
-        DIAGNOSIS: "effects detectable from {:.2f} of their plausible size (geometric mean)",
+        INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
+        + CRITERION_PHRASES[plan.plan_file.goal.criterion],
+        TARGETS_QUALITY: "targets known to {:.1f} um (root mean square)",
+        DIAGNOSIS_QUALITY: "effects detectable from {:.2f} of their plausible size (geometric mean)",
     }
-    factor = {TARGETS: 1.0 / MICROMETRE}
+    factor = {TARGETS_QUALITY: 1.0 / MICROMETRE}
     return ", ".join(
-        templates[name].format(factor.get(name, 1.0) * value) for name, value in plan.chosen.qualities.items()
+        templates[name].format(factor.get(name, 1.0) * value) for name, value in plan.layout.qualities.items()
     )
 
 
-def _headline(plan: PlannedNetwork) -> list[str]:
-    work = f"{plan.chosen.survey.words}; {_quality_words(plan)}"
+def _result_sentence(plan: PlannedNetwork) -> list[str]:
+    work = f"{plan.layout.survey.extent_text}; {_quality_text(plan)}"
     if plan.verdict is not None:
-        return [f"{plan.verdict.words}.", f"{work}."]
-    sigma = plan.chosen.information.target_sigma
+        return [f"{plan.verdict.sentences}.", f"{work}."]
+    sigma = plan.layout.information.target_sigmas
     worst = int(np.argmax(sigma))
-    name = plan.chosen.survey.target_names[worst]
-    broken = f"The layout breaks a rule of the plan: {words_of(plan.chosen.broken)}. " if plan.chosen.broken else ""
-    size = _shown(TARGETS, sigma[worst])
+    name = plan.layout.survey.target_names[worst]
+    broken = (
+        f"The layout breaks a rule of the plan: {broken_rules_text(plan.layout.broken_rules)}. "
+        if plan.layout.broken_rules
+        else ""
+    )
+    size = _quality_value_text(TARGETS_QUALITY, sigma[worst])
     return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {size})."]
 
 
-def _tolerances(plan: PlannedNetwork) -> list[str]:
-    return [] if plan.check is None else [*_numbers(plan), *loss_sentences(plan.losses)]
+def _tolerance_sentences(plan: PlannedNetwork) -> list[str]:
+    return [] if plan.tolerance_check is None else [*_station_count_sentences(plan), *loss_sentences(plan.loss_checks)]
 
 
-def _numbers(plan: PlannedNetwork) -> list[str]:
+def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the numbers of stations that were searched, with the result of each."""
-    if not plan.tried:
+    if not plan.station_count_results:
         return []
-    *fewer, last = plan.tried
-    outcomes = _came_of(fewer, plan.site.min_sights)
-    good = last.ratio is not None and is_met(last.ratio)
-    count = len(plan.chosen.survey.position)
+    *fewer, last = plan.station_count_results
+    outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
+    good = last.max_error_ratio is not None and is_met(last.max_error_ratio)
+    count = len(plan.layout.survey.station_positions)
     sentences = (
-        [f"{last.stations} stations are the fewest for which the search found a layout that meets the tolerances."]
+        [f"{last.n_stations} stations are the fewest for which the search found a layout that meets the tolerances."]
         if good
         else []
     )
     if not good:
         sentences = [
-            f"The search found no layout with {plan.tried[0].stations} to {last.stations} stations that meets the "
+            f"The search found no layout with {plan.station_count_results[0].n_stations} to "
+            f"{last.n_stations} stations that meets the "
             f"tolerances (closest: {count} stations)."
         ]
-        if not plan.stopped:
-            if last.stations < plan.file.stations.max_count:
+        if not plan.is_stopped:
+            if last.n_stations < plan.plan_file.stations.max_count:
                 sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
-        outcomes = _came_of(plan.tried, plan.site.min_sights)
+        outcomes = _count_result_clauses(plan.station_count_results, plan.search_space.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
-    return [*sentences, f"Layouts with fewer than {plan.tried[0].stations} stations were not searched."]
+    return [
+        *sentences,
+        f"Layouts with fewer than {plan.station_count_results[0].n_stations} stations were not searched.",
+    ]
 
 
-def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
+def _count_result_clauses(tried: Sequence[StationCountResult], least: int) -> list[str]:
     """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
-        if outcome.ratio is not None and np.isfinite(outcome.ratio):
-            return f"the best layout has an error of {text_near_limit(outcome.ratio, 1.0)} times its tolerance"
+        if outcome.max_error_ratio is not None and np.isfinite(outcome.max_error_ratio):
+            return (
+                f"the best layout has an error of {text_near_limit(outcome.max_error_ratio, 1.0)} times its tolerance"
+            )
         if outcome.has_layout:
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {least} station{'s' if least > 1 else ''}"
 
     def came_of(text: str, same: Sequence[StationCountResult]) -> str:
-        first, last = same[0].stations, same[-1].stations
-        nearest = f" (the closest layout lacks sights of {same[-1].lacking})" if same[-1].lacking else ""
+        first, last = same[0].n_stations, same[-1].n_stations
+        nearest = (
+            f" (the closest layout lacks sights of {same[-1].unseen_points_text})"
+            if same[-1].unseen_points_text
+            else ""
+        )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"
 
     return [came_of(text, list(same)) for text, same in groupby(tried, key=words)]
 
 
-def _air(plan: PlannedNetwork) -> list[str]:
+def _air_sentence(plan: PlannedNetwork) -> list[str]:
     """Sentence on the uncertainty of the air that the results include."""
-    adjustment = plan.chosen.information.adjustment
-    air = counted_air(adjustment)
+    adjustment = plan.layout.information.adjustment
+    air = relevant_air(adjustment)
     if air is None:
         return []
-    words = air_words(air, longest_sight(adjustment))
+    words = air_uncertainty_text(air, longest_range(adjustment))
     return [f"All point errors include the {words}; change it as [air] of the plan."]
 
 
-def _against_reference(plan: PlannedNetwork) -> list[str]:
-    reference, chosen = plan.reference, plan.chosen
-    if plan.file.workshop is not None:
+def _reference_sentence(plan: PlannedNetwork) -> list[str]:
+    reference, chosen = plan.reference, plan.layout
+    if plan.plan_file.workshop is not None:
         return []
     if reference is None:
         return ["The scenario's layout does not determine its poses and targets; the layout of the plan does."]
     sentences = []
-    if reference.broken:
-        lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
+    if reference.broken_rules:
+        lost = reference.visibility.invisible_pair_sentences(
+            reference.survey.station_names, reference.survey.target_names
+        )
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
-        sentences.append(f"The scenario's layout breaks rules of the plan: {words_of(reference.broken)}{why}.")
+        sentences.append(
+            f"The scenario's layout breaks rules of the plan: {broken_rules_text(reference.broken_rules)}{why}."
+        )
     for name in [name for name in chosen.qualities if name in reference.qualities]:
         factor = reference.qualities[name] / chosen.qualities[name]
         sentences.append(
-            f"Compared with the scenario's layout of {len(reference.survey.position)} stations, measured in the same "
+            f"Compared with the scenario's layout of {len(reference.survey.station_positions)} stations, "
+            "measured in the same "
             f"way, the quality of {name} is {max(factor, 1 / factor):.2f} times "
-            f"{'better' if factor >= 1 else 'worse'} ({_shown(name, reference.qualities[name])} there)."
+            f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
-    sentences += _parameters(reference, chosen)
-    if reference.expected is not None and chosen.expected is not None:
-        a, b = reference.expected, chosen.expected
+    sentences += _parameter_sentence(reference, chosen)
+    if reference.expected_criteria is not None and chosen.expected_criteria is not None:
+        a, b = reference.expected_criteria, chosen.expected_criteria
         sentences.append(
             "For errors within the specification, calibration is expected to reduce the paper's distance "
             f"criterion by {b.distance_improvement[0]:.0f} % and the coordinate criterion by "
@@ -148,13 +186,17 @@ def _against_reference(plan: PlannedNetwork) -> list[str]:
     return sentences
 
 
-def _shown(name: str, value: float) -> str:
-    return f"{value / MICROMETRE:.1f} um" if name == TARGETS else f"{value:.3f}"
+def _quality_value_text(name: str, value: float) -> str:
+    return f"{value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
 
 
-def _parameters(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[str]:
+def _parameter_sentence(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[str]:
     pairs = list(
-        zip(PlannedParameterEntry.of(reference.information), PlannedParameterEntry.of(chosen.information), strict=True)
+        zip(
+            PlannedParameterEntry.from_information(reference.information),
+            PlannedParameterEntry.from_information(chosen.information),
+            strict=True,
+        )
     )
     pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
@@ -164,45 +206,47 @@ def _parameters(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[s
     return sentences + ([f"Parameters whose sigma rises: {'; '.join(lost)}."] if lost else [])
 
 
-def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
+def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the loss of quality without each station, and the parameter that is affected most."""
-    survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
-    objective, sentences = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
+    survey, now, qualities = plan.layout.survey, plan.layout.information, plan.layout.qualities
+    objective, sentences = LayoutObjective({INSTRUMENT_QUALITY: 1.0}, plan.plan_file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
-        remaining = survey.without(s)
+        remaining = survey.without_station(s)
         try:
-            without = LayoutInformation.of(remaining, now.construction)
+            without = LayoutInformation.from_survey(remaining, now.construction)
         except NetworkError as problem:
             sentences.append(f"{name} is indispensable: without it, {problem}.")
             continue
-        if INSTRUMENT in qualities:
-            worse = measure(remaining, objective, now.construction)[0] / qualities[INSTRUMENT]
+        if INSTRUMENT_QUALITY in qualities:
+            worse = objective_and_qualities(remaining, objective, now.construction)[0] / qualities[INSTRUMENT_QUALITY]
         else:
             worse = without.target_rms / now.target_rms
-        ratio = without.instrument_sigma / now.instrument_sigma
+        ratio = without.instrument_sigmas / now.instrument_sigmas
         most = int(np.argmax(ratio))
-        x, y, _ = survey.position[s]
+        x, y, _ = survey.station_positions[s]
         sentences.append(
             f"Without {name} at ({x:.2f}, {y:.2f}) m the quality is {100 * (worse - 1):.0f} % worse, most for "
-            f"{now.construction.names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
+            f"{now.construction.parameter_names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
         )
     return sentences
 
 
-def _limits(plan: PlannedNetwork) -> list[str]:
+def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules that limit the layout: floor, elevation, spacing."""
-    survey, site = plan.chosen.survey, plan.site
+    survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, []
-    near = too_near(survey.position[None], 1.02 * site.spacing) & ~too_near(survey.position[None], site.spacing)
+    near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
+        survey.station_positions[None], site.min_station_spacing
+    )
     close = [(names[i], names[j]) for i, j in np.argwhere(near[0]).tolist()]
     if close:
         pairs = ", ".join(f"{first} and {second}" for first, second in close)
-        sentences.append(f"{pairs} are at the minimum spacing of {site.spacing:g} m.")
+        sentences.append(f"{pairs} are at the minimum spacing of {site.min_station_spacing:g} m.")
     steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     edge = [
         name
-        for name, place in zip(names, survey.position, strict=True)
-        if site.allowed(place[None])[0] and not site.allowed(place + steps).all()
+        for name, place in zip(names, survey.station_positions, strict=True)
+        if site.is_allowed(place[None])[0] and not site.is_allowed(place + steps).all()
     ]
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
@@ -210,49 +254,62 @@ def _limits(plan: PlannedNetwork) -> list[str]:
             f"{', '.join(edge)} {verb} at the edge of the allowed floor; a larger floor there may improve the layout."
         )
     if site.min_sights < len(names):
-        least = survey.visible.sum(axis=0).min()
+        least = survey.is_visible.sum(axis=0).min()
         sentences.append(f"Every reflector is visible from at least {least} station{'s' if least > 1 else ''}.")
     if site.obstacles is not None:
-        depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.points) - survey.points, axis=1)
+        depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.target_points) - survey.target_points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MAX_NAMED)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
+                f"{listing(under, MAX_LISTED_NAMES)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
                 "within the tolerance of its mesh, and are treated as on its surface."
             )
-    lost = plan.chosen.table.lost(names, survey.target_names)
+    lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
     if lost:
         more = "; and more" if len(lost) > 3 else ""
         sentences.append(f"{len(lost)} sights are blocked: {'; '.join(lost[:3])}{more}.")
     return sentences
 
 
-def _same_way(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
-    chosen = plan.chosen.survey
+def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
+    chosen = plan.layout.survey
     return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
 
 
-def fewest(plan: PlannedNetwork) -> TradeoffPoint | None:
+def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
     """Trade-off point with the fewest stations that is as good as the scenario's layout, measured in the same way."""
     if plan.reference is None or not plan.reference.qualities:
         return None
-    goal = _reference_value(plan)
-    good = [o for o in plan.options if _same_way(plan, o) and o.value <= goal]
-    return min(good, key=lambda o: (len(o.survey.position), o.value), default=None)
+    goal = _reference_objective(plan)
+    good = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
+    return min(good, key=lambda o: (len(o.survey.station_positions), o.objective_value), default=None)
 
 
-def _curve(plan: PlannedNetwork) -> list[str]:
+def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on fewer stations that are sufficient, and on the cost of a better layout."""
-    sentences, few, reference = [], fewest(plan), plan.reference
-    if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
-        goal = " ".join(plan.chosen.qualities)
+    sentences, few, reference = [], cheapest_equal_option(plan), plan.reference
+    if (
+        few is not None
+        and reference is not None
+        and len(few.survey.station_positions) < len(reference.survey.station_positions)
+    ):
+        goal = " ".join(plan.layout.qualities)
         sentences.append(
-            f"{len(few.survey.position)} stations suffice to match the {len(reference.survey.position)} of the "
-            f"scenario's layout ({_shown(goal, few.value)} against {_shown(goal, _reference_value(plan))}) in "
+            f"{len(few.survey.station_positions)} stations suffice to match the "
+            f"{len(reference.survey.station_positions)} of the "
+            f"scenario's layout ({_quality_value_text(goal, few.objective_value)} against "
+            f"{_quality_value_text(goal, _reference_objective(plan))}) in "
             f"{few.hours:.1f} h."
         )
-    count = len(plan.chosen.survey.position)
-    now = next((o for o in plan.options if len(o.survey.position) == count and _same_way(plan, o)), None)
-    dearer = [o for o in plan.options if o.efficient and now is not None and o.value < 0.95 * now.value]
+    count = len(plan.layout.survey.station_positions)
+    now = next(
+        (o for o in plan.tradeoff_points if len(o.survey.station_positions) == count and _has_same_procedure(plan, o)),
+        None,
+    )
+    dearer = [
+        o
+        for o in plan.tradeoff_points
+        if o.is_efficient and now is not None and o.objective_value < 0.95 * now.objective_value
+    ]
     if now is not None and dearer:
         best = min(dearer, key=lambda o: o.hours)
         faces = "both faces" if len(best.survey.faces) == 2 else "one face"
@@ -260,40 +317,45 @@ def _curve(plan: PlannedNetwork) -> list[str]:
         change = best.hours - now.hours
         time = f"{abs(60 * change):.0f} min {'more' if change > 0 else 'less'}"
         sentences.append(
-            f"A layout of {len(best.survey.position)} stations, {faces}, {rounds} is {now.value / best.value:.1f} "
+            f"A layout of {len(best.survey.station_positions)} stations, {faces}, {rounds} is "
+            f"{now.objective_value / best.objective_value:.1f} "
             f"times better and takes {time}."
         )
     return sentences
 
 
-def _reference_value(plan: PlannedNetwork) -> float:
+def _reference_objective(plan: PlannedNetwork) -> float:
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey
-    return measure(survey, objective_of(plan.file, survey), plan.chosen.information.construction)[0]
+    return objective_and_qualities(
+        survey, layout_objective(plan.plan_file, survey), plan.layout.information.construction
+    )[0]
 
 
-def _undetermined(plan: PlannedNetwork) -> list[str]:
+def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     """Sentences on the number of undetermined combinations, and the measurement that determines most of them."""
-    information = plan.chosen.information
-    count = len(information.undetermined)
+    information = plan.layout.information
+    count = len(information.undetermined_combinations)
     if not count:
         return []
     which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
-    measured = Counter(cure.partition(GAIN)[0] for cure in information.cures() if GAIN in cure)
+    measured = Counter(
+        cure.partition(BENEFIT_PREFIX)[0] for cure in information.determining_sentences() if BENEFIT_PREFIX in cure
+    )
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
     return [f"{which} not determined by this layout (see the table){cure}."]
 
 
-def _search(plan: PlannedNetwork) -> list[str]:
-    count = len(plan.spread)
-    if plan.stopped:
+def _search_sentence(plan: PlannedNetwork) -> list[str]:
+    count = len(plan.start_objectives)
+    if plan.is_stopped:
         return ["The search was stopped; this is the best layout until then."]
     if count < 2:
         return []
-    close = sum(value < 1.02 * plan.spread[0] for value in plan.spread)
+    close = sum(value < 1.02 * plan.start_objectives[0] for value in plan.start_objectives)
     return [
         f"{close} of {count} independent searches ended within 2 % of the best value, the worst at "
-        f"{plan.spread[-1] / plan.spread[0]:.2f} times it; "
+        f"{plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times it; "
         + ("a much better layout is unlikely." if close > 1 else "more search.starts may find a better layout.")
     ]

@@ -6,25 +6,25 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import PrivateAttr
 
-from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.adjustment.remedies.detectability import catalogue_detectability
 from ltsim.core.arguments import source_path
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning import tables
-from ltsim.planning.layout_scenario import PLAN, SCENARIO, planned_scenario, with_cad_copied
+from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE, copy_cad_files, scenario_of_plan
 from ltsim.planning.loading import load_plan
 from ltsim.planning.plan_change import PlanChange
-from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, LayoutEntry, LossEntry, OptionEntry
+from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, LayoutEntry, LossEntry, TradeoffEntry
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import fewest, reasons
+from ltsim.planning.reasons import cheapest_equal_option, reason_sentences
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.tolerances import percent
+from ltsim.planning.tolerances import percent_text
 from ltsim.recordings.result_file import OptionalFloat, ResultFile, read_result, write_result
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
-from ltsim.simulation.workshop import bodies_of
+from ltsim.simulation.workshop import placed_obstacles
 
-FRAME = (
+FRAME_TEXT = (
     "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
 )
 """Text of the coordinate system of all coordinates."""
@@ -46,9 +46,9 @@ class Plan(ResultFile, LayoutEntry):
     """Text of the coordinate system of all coordinates."""
     reference: LayoutEntry | None = None
     """Layout of the scenario, for comparison."""
-    fewest_stations: OptionEntry | None = None
+    fewest_stations: TradeoffEntry | None = None
     """Option with the fewest stations that is as good as the layout of the scenario."""
-    tradeoff: tuple[OptionEntry, ...] = ()
+    tradeoff: tuple[TradeoffEntry, ...] = ()
     """All measuring procedures that were evaluated, in the order of cost."""
     starts: tuple[OptionalFloat, ...] = ()
     """Value of the objective of each independent search, the best first; smaller is better."""
@@ -80,32 +80,32 @@ class Plan(ResultFile, LayoutEntry):
     _network: PlannedNetwork | None = PrivateAttr(None)
 
     @classmethod
-    def of(cls, network: PlannedNetwork) -> Self:
+    def from_network(cls, network: PlannedNetwork) -> Self:
         """Result of a planned network."""
-        sentences, few, judged = reasons(network), fewest(network), network.verdict
-        report = detectability(network.chosen.information.adjustment, CATALOGUE)
-        made = cls.of_layout(
-            network.chosen,
-            network.check,
-            title=network.file.title or network.scenario.title,
+        sentences, few, judged = reason_sentences(network), cheapest_equal_option(network), network.verdict
+        report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
+        made = cls.from_evaluation(
+            network.layout,
+            network.tolerance_check,
+            title=network.plan_file.title or network.scenario.title,
             summary=sentences[0],
             reasons=tuple(sentences[1:]),
-            frame=FRAME,
-            reference=None if network.reference is None else LayoutEntry.of_layout(network.reference),
-            fewest_stations=None if few is None else OptionEntry.of(few),
-            tradeoff=tuple(OptionEntry.of(option) for option in network.options),
-            reflector_changes=network.changes.reported,
-            changes_tried=network.changes.summary,
-            starts=network.spread,
-            bodies=tuple(body.words for body in bodies_of(network.scenario)),
-            reached=None if judged is None else judged.reached,
-            tolerances_met=None if network.check is None else network.check.good,
-            losses=tuple(LossEntry.of(loss) for loss in network.losses),
-            settings=PlanFile.model_validate(network.file.model_dump(mode="json")),  # all of it goes to the file
-            seed=network.file.search.seed,
-            detectable=tuple(DetectableSize.of(row) for row in report.table()),
-            confusable=tuple(ConfusablePair.of(pair) for pair in report.confusable()),
-            silent=report.silent,
+            frame=FRAME_TEXT,
+            reference=None if network.reference is None else LayoutEntry.from_evaluation(network.reference),
+            fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
+            tradeoff=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
+            reflector_changes=network.reflector_changes.reported_changes,
+            changes_tried=network.reflector_changes.summary_sentence,
+            starts=network.start_objectives,
+            bodies=tuple(body.description for body in placed_obstacles(network.scenario)),
+            reached=None if judged is None else judged.is_goal_reached,
+            tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all,
+            losses=tuple(LossEntry.from_check(loss) for loss in network.loss_checks),
+            settings=PlanFile.model_validate(network.plan_file.model_dump(mode="json")),  # all of it goes to the file
+            seed=network.plan_file.search.seed,
+            detectable=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
+            confusable=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
+            silent=report.undetectable_effects,
         )
         made._network = network
         return made
@@ -122,61 +122,63 @@ class Plan(ResultFile, LayoutEntry):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "stations": self._stations,
-            "reflectors": self._reflector_table,
-            "tolerances": self._tolerances,
-            "losses": self._losses,
-            "tradeoff": lambda: tables.TRADEOFF.filled(self.tradeoff),
-            "parameters": self._parameters,
-            "expected": self._expected,
-            "changes": self._changes,
-            "effects": lambda: tables.EFFECTS.filled(self.detectable),
-            "confusable": lambda: tables.CONFUSABLE.filled(self.confusable),
-            "nominals": lambda: tables.NOMINALS.filled([r.name, *r.position_mm] for r in self.reflectors),
+            "stations": self._stations_table,
+            "reflectors": self._reflectors_table,
+            "tolerances": self._tolerances_table,
+            "losses": self._losses_table,
+            "tradeoff": lambda: tables.TRADEOFF_TABLE.filled(self.tradeoff),
+            "parameters": self._parameters_table,
+            "expected": self._expected_table,
+            "changes": self._changes_table,
+            "effects": lambda: tables.EFFECTS_TABLE.filled(self.detectable),
+            "confusable": lambda: tables.CONFUSABLE_TABLE.filled(self.confusable),
+            "nominals": lambda: tables.NOMINALS_TABLE.filled([r.name, *r.position_mm] for r in self.reflectors),
         }
 
-    def _stations(self) -> Table:
-        return tables.STATIONS.filled(
+    def _stations_table(self) -> Table:
+        return tables.STATIONS_TABLE.filled(
             [s.name, *s.position_mm, s.yaw_deg, *(s.sigma_position_um or 3 * (None,)), s.visible_reflectors]
             for s in self.stations
         )
 
-    def _reflector_table(self) -> Table:
-        return tables.REFLECTORS.filled(
+    def _reflectors_table(self) -> Table:
+        return tables.REFLECTORS_TABLE.filled(
             [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
              " ".join(r.visible_from)]
             for r in self.reflectors
         )  # fmt: skip
 
-    def _tolerances(self) -> Table:
-        return tables.TOLERANCES.filled(
-            [r.name, r.within_mm, r.tolerance_mm, percent(r.used), r.met] for r in self.reflectors if r.used is not None
+    def _tolerances_table(self) -> Table:
+        return tables.TOLERANCES_TABLE.filled(
+            [r.name, r.within_mm, r.tolerance_mm, percent_text(r.used), r.met]
+            for r in self.reflectors
+            if r.used is not None
         )
 
-    def _losses(self) -> Table:
-        return tables.LOSSES.filled(
-            [loss.lost, loss.met, loss.worst, loss.used, " ".join(loss.unseen)]
+    def _losses_table(self) -> Table:
+        return tables.LOSSES_TABLE.filled(
+            [loss.lost, loss.met, loss.worst, loss.ratio_text, " ".join(loss.unseen)]
             for loss in sorted(self.losses, key=lambda loss: loss.met)
         )
 
-    def _parameters(self) -> Table:
+    def _parameters_table(self) -> Table:
         reference = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
-        return tables.PARAMETERS.filled(
+        return tables.PARAMETERS_TABLE.filled(
             [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
         )
 
-    def _expected(self) -> Table:
+    def _expected_table(self) -> Table:
         layouts: list[tuple[str, LayoutEntry | None]] = [("this plan", self), ("reference layout", self.reference)]
-        return tables.EXPECTED.filled(
+        return tables.EXPECTED_TABLE.filled(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
             if entry is not None and entry.expected_improvement
             for name, e in entry.expected_improvement.items()
         )
 
-    def _changes(self) -> Table:
-        return tables.CHANGES.filled(
-            [i, c.deed, c.gain_um, 100 * (1 - c.quality), c.serves, 100 * (c.serves_factor - 1)]
+    def _changes_table(self) -> Table:
+        return tables.CHANGES_TABLE.filled(
+            [i, c.action_text, c.gain_um, 100 * (1 - c.quality), c.serves, 100 * (c.serves_factor - 1)]
             for i, c in enumerate(self.reflector_changes, 1)
         )
 
@@ -187,20 +189,20 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
         return plan
     network = plan.network
     companions = [plan.table(name) for name in plan._tables()]
-    companions += [tables.visibility_table(network.chosen), tables.work_table(network)]
-    scenario, cad = with_cad_copied(planned_scenario(network))
-    texts = {table.file: table.csv() for table in companions} | {SCENARIO: scenario_to_toml(scenario)}
+    companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
+    scenario, cad = copy_cad_files(scenario_of_plan(network))
+    texts = {table.file: table.csv() for table in companions} | {SCENARIO_FILE: scenario_to_toml(scenario)}
     return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
 
-def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
+def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
     """Plan and scenario of a source.
 
     The source is a plan file, a scenario, a plan's folder, or a file saved by the interactive planner.
     """
     folder = source_path(source)
-    if (folder / PLAN).is_file():
-        return load_plan(folder / PLAN)
+    if (folder / PLAN_FILE).is_file():
+        return load_plan(folder / PLAN_FILE)
     if not folder.is_dir():
         return load_plan(source)
-    return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO)
+    return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO_FILE)

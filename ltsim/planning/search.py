@@ -11,33 +11,36 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
-from ltsim.planning.objective import MIN_IMPROVEMENT, Objective
-from ltsim.planning.site import Placement, SearchSpace
+from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
+from ltsim.planning.site import SearchSpace, StationPlacement
 
-CHUNK = 64
-SWEEPS = 12
-TRIES = 12
+SETUPS_PER_BATCH = 64
+"""Number of candidate set-ups whose objectives are computed together."""
+MAX_SWEEPS = 12
+"""Largest number of sweeps of exchanges."""
+MAX_RANDOM_LAYOUTS = 12
+"""Largest number of random layouts that are drawn for one start."""
 PROGRESS_FACTOR = 0.985
 """Factor on the remaining part of the progress bar for each step; the number of steps is unknown in advance."""
-MIN_STEP = 0.004
+MIN_REFINEMENT_STEP = 0.004
 """Step [m] of the last moves off the grid."""
 
 
 @dataclass(frozen=True)
-class PlannedLayout:
+class StationLayout:
     """Stations of a layout and its objective."""
 
-    position: Floats
+    positions: Floats
     """Positions of the stations, (S, 3) [m]."""
-    yaw: Floats
+    yaws: Floats
     """Yaw of each station, (S,) [rad]."""
-    value: float
+    objective_value: float
     """Objective; infinite for a layout that breaks a rule."""
 
 
@@ -45,224 +48,249 @@ class PlannedLayout:
 class LayoutSearcher:
     """Search in one search space for one objective."""
 
-    site: SearchSpace
-    objective: Objective = field(default_factory=Objective)
-    construction: Construction = field(default_factory=misalignment)
-    step: float = 0.5
+    search_space: SearchSpace
+    objective: LayoutObjective = field(default_factory=LayoutObjective)
+    construction: Construction = field(default_factory=misalignment_construction)
+    grid_step: float = 0.5
     """Step of the grid [m]."""
-    yaws: int = 6
-    heights: int = 2
-    """Number of yaws and of heights that are tried at each place of the grid."""
-    tell: Callable[[float], None] = quiet
+    n_yaws: int = 6
+    """Number of yaws that are tried at each place of the grid."""
+    n_heights: int = 2
+    """Number of heights that are tried at each place of the grid."""
+    on_progress: Callable[[float], None] = no_progress
     """Callback for the finished fraction of a start."""
-    keep: Callable[[PlannedLayout], None] = quiet
+    on_layout: Callable[[StationLayout], None] = no_progress
     """Callback for each better layout."""
 
     def __post_init__(self) -> None:
-        self.reducer = LayoutScorer(self.site.survey, self.construction, self.objective.effects)
-        self.stations = self.reducer.stations
-        self._free = [s for s in range(self.stations) if s not in self.site.fixed]
-        self._tables: dict[int, NormalBlocks] = {}
-        self._steps = 0
+        self.scorer = LayoutScorer(self.search_space.survey, self.construction, self.objective.effects)
+        self.n_stations = self.scorer.n_stations
+        self._movable_stations = [s for s in range(self.n_stations) if s not in self.search_space.fixed_stations]
+        self._grid_tables: dict[int, NormalBlocks] = {}
+        self._n_steps = 0
 
-    def pool(self, position: Floats, yaw: Floats, slot: int, visible: Bools | None = None) -> NormalBlocks:
-        """Set-ups as alternatives for station `slot`; `visible` (N, T) is computed unless given."""
-        visible, parts = self.site.visible(position) if visible is None else visible, []
-        for a in range(0, len(position), CHUNK):
-            chunk = slice(a, a + CHUNK)
-            slots = np.full(len(position[chunk]), slot, dtype=np.int64)
-            parts.append(self.reducer.blocks(position[chunk], yaw[chunk], slots, visible[chunk]))
-            self._step()
-        return NormalBlocks.concatenated(parts)
+    def candidate_setups(
+        self, position: Floats, yaw: Floats, station_index: int, visible: Bools | None = None
+    ) -> NormalBlocks:
+        """Set-ups as alternatives for station `station_index`; `visible` (N, T) is computed unless given."""
+        visible, parts = self.search_space.is_visible(position) if visible is None else visible, []
+        for a in range(0, len(position), SETUPS_PER_BATCH):
+            chunk = slice(a, a + SETUPS_PER_BATCH)
+            slots = np.full(len(position[chunk]), station_index, dtype=np.int64)
+            parts.append(self.scorer.normal_blocks(position[chunk], yaw[chunk], slots, visible[chunk]))
+            self._report_step()
+        return NormalBlocks.concatenate(parts)
 
-    def table(self, slot: int) -> NormalBlocks:
+    def grid_setups(self, station_index: int) -> NormalBlocks:
         """Grid of candidate set-ups; it depends on the slot only for time-dependent effects."""
-        key = slot if self.objective.effects else 0
-        if key not in self._tables:
-            places, visible = self.placement.position, self.placement.visible
-            whole = self.site.min_sights >= self.stations
+        key = station_index if self.objective.effects else 0
+        if key not in self._grid_tables:
+            places, visible = self.placement.candidate_positions, self.placement.is_visible
+            whole = self.search_space.min_sights >= self.n_stations
             good = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
             if not good.any():
-                raise SetupError(self._nowhere())
-            turns = np.arange(self.yaws) * (2 * np.pi / self.yaws)
-            position: Floats = np.repeat(places[good], self.yaws, axis=0)
+                raise SetupError(self._invisible_targets_sentence())
+            turns = np.arange(self.n_yaws) * (2 * np.pi / self.n_yaws)
+            position: Floats = np.repeat(places[good], self.n_yaws, axis=0)
             yaw = np.tile(turns, int(good.sum()))
-            self._tables[key] = self.pool(position, yaw, key, np.repeat(visible[good], self.yaws, axis=0))
-        return self._tables[key]
+            self._grid_tables[key] = self.candidate_setups(
+                position, yaw, key, np.repeat(visible[good], self.n_yaws, axis=0)
+            )
+        return self._grid_tables[key]
 
     @cached_property
-    def placement(self) -> Placement:
+    def placement(self) -> StationPlacement:
         """Candidate places of stations on the grid, with the targets visible from each."""
-        return self.site.placement(self.step, self.heights)
+        return self.search_space.greedy_placement(self.grid_step, self.n_heights)
 
-    def _nowhere(self) -> str:
+    def _invisible_targets_sentence(self) -> str:
         """Sentence on targets that cannot be seen from all stations, or from any."""
-        share = self.placement.visible.mean(axis=0)
+        share = self.placement.is_visible.mean(axis=0)
         if not share.all():
-            return self.site.out_of_sight(np.flatnonzero(share == 0))
-        worst = self.site.survey.target_names[int(np.argmin(share))]
+            return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
+        worst = self.search_space.survey.target_names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is visible from {100 * share.min():.0f} % of the "
             "places; move it, enlarge the floor, or set a smaller stations.min_stations_per_target"
         )
 
-    def layout(self, position: Floats, yaw: Floats) -> NormalBlocks:
+    def layout_blocks(self, position: Floats, yaw: Floats) -> NormalBlocks:
         """Stations of a layout (positions (S, 3), yaws (S,)) as set-ups."""
-        return NormalBlocks.concatenated([self.pool(position[[s]], yaw[[s]], s) for s in range(self.stations)])
+        return NormalBlocks.concatenate(
+            [self.candidate_setups(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
+        )
 
-    def evaluate(self, position: Floats, yaw: Floats) -> PlannedLayout:
+    def evaluate_layout(self, position: Floats, yaw: Floats) -> StationLayout:
         """Layout with its objective."""
-        here = self.layout(position, yaw)
-        good = self.site.allowed(position).all() and self.site.feasible(position[None], here.visible[None])[0]
-        return PlannedLayout(position, yaw, self._value(here) if good else np.inf)
+        here = self.layout_blocks(position, yaw)
+        good = (
+            self.search_space.is_allowed(position).all()
+            and self.search_space.is_feasible(position[None], here.is_visible[None])[0]
+        )
+        return StationLayout(position, yaw, self._objective_of(here) if good else np.inf)
 
-    def _value(self, layout: NormalBlocks) -> float:
-        return float(self._values(layout, np.arange(self.stations)[None])[0])
+    def _objective_of(self, layout: NormalBlocks) -> float:
+        return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
 
-    def _values(self, blocks: NormalBlocks, chosen: Ints) -> Floats:
+    def _objectives_of(self, blocks: NormalBlocks, chosen: Ints) -> Floats:
         """Objective (B,) of layouts; each row of `chosen` (B, S) has indices into `blocks`."""
         values = [
-            self.objective.values(
-                self.reducer.reduce(blocks, chosen[a : a + CHUNK], targets=self.objective.wants_targets),
-                self.construction.size,
+            self.objective.objective_values(
+                self.scorer.evaluate_layouts(
+                    blocks, chosen[a : a + SETUPS_PER_BATCH], with_target_errors=self.objective.needs_target_errors
+                ),
+                self.construction.n_parameters,
             )
-            for a in range(0, len(chosen), CHUNK)
+            for a in range(0, len(chosen), SETUPS_PER_BATCH)
         ]
         return np.concatenate(values) if values else np.zeros(0)
 
-    def _step(self) -> None:
+    def _report_step(self) -> None:
         """Report of progress to the callback."""
-        self._steps += 1
-        self.tell(1.0 - PROGRESS_FACTOR**self._steps)
+        self._n_steps += 1
+        self.on_progress(1.0 - PROGRESS_FACTOR**self._n_steps)
 
-    def replacements(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> Floats:
-        """Objective (N,) of the layout with each candidate as station `slot`; infinite if a rule is broken."""
-        count, (position, visible) = len(candidates.position), _with_each(layout, slot, candidates)
-        good = np.flatnonzero(self.site.feasible(position, visible))
+    def replacement_objectives(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> Floats:
+        """Objective (N,) of the layout with each candidate as station `station_index`; infinite if a rule is broken."""
+        count, (position, visible) = (
+            len(candidates.setup_positions),
+            _with_each_candidate(layout, station_index, candidates),
+        )
+        good = np.flatnonzero(self.search_space.is_feasible(position, visible))
         values = np.full(count, np.inf)
-        chosen = np.tile(np.arange(self.stations), (len(good), 1))
-        chosen[:, slot] = self.stations + good
-        values[good] = self._values(NormalBlocks.concatenated([layout, candidates]), chosen)
+        chosen = np.tile(np.arange(self.n_stations), (len(good), 1))
+        chosen[:, station_index] = self.n_stations + good
+        values[good] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
         return values
 
-    def best_replacement(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[int, float]:
-        """Best candidate for station `slot` and its objective; infinite if all candidates break a rule."""
-        self._step()
-        values = self.replacements(layout, slot, candidates)
+    def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
+        """Best candidate for station `station_index` and its objective; infinite if all candidates break a rule."""
+        self._report_step()
+        values = self.replacement_objectives(layout, station_index, candidates)
         best = int(np.argmin(values))
         return best, float(values[best])
 
-    def _sweep(
+    def _exchange_sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
     ) -> tuple[NormalBlocks, float]:
         """Layout after one sweep, in which each station is replaced by the best of its candidates if that is better."""
-        for slot in self._free:
+        for slot in self._movable_stations:
             offered = candidates(layout, slot)
             if offered is None:
                 continue
             which, best = self.best_replacement(layout, slot, offered)
             if best < value:
-                layout, value = layout.with_station(slot, offered.take(np.array([which]))), best
-                self.keep(PlannedLayout(layout.position, layout.yaw, value))
+                layout, value = layout.with_replaced_station(slot, offered.select(np.array([which]))), best
+                self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
         return layout, value
 
-    def exchange(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
+    def exchange_on_grid(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
         """Layout after exchanges of stations for set-ups of the grid, until none improves it."""
-        for _ in range(SWEEPS):
+        for _ in range(MAX_SWEEPS):
             before = value
-            layout, value = self._sweep(layout, value, lambda _, slot: self.table(slot))
-            if not value < before * (1 - MIN_IMPROVEMENT):
+            layout, value = self._exchange_sweep(layout, value, lambda _, slot: self.grid_setups(slot))
+            if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 break
         return layout, value
 
-    def refine(self, layout: NormalBlocks, value: float, rng: np.random.Generator) -> tuple[NormalBlocks, float]:
+    def refine_off_grid(
+        self, layout: NormalBlocks, value: float, random_generator: np.random.Generator
+    ) -> tuple[NormalBlocks, float]:
         """Layout after moves of stations off the grid.
 
         It is a pattern search with shrinking steps along the axes and at random.
         """
-        reach = 0.5 * self.step
+        reach = 0.5 * self.grid_step
 
         def around(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
             """Set-ups near a station, with x, y, height and yaw changed separately and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
-            steps = [reach, reach, reach, reach / self.step]
-            moves = np.concatenate([axes, rng.uniform(-1, 1, (16, 4))]) * steps
-            position = layout.position[slot] + moves[:, :3]
-            position[:, 2] = np.clip(position[:, 2], *self.site.heights)
-            good = self.site.allowed(position)
-            return self.pool(position[good], layout.yaw[slot] + moves[good, 3], slot) if good.any() else None
+            steps = [reach, reach, reach, reach / self.grid_step]
+            moves = np.concatenate([axes, random_generator.uniform(-1, 1, (16, 4))]) * steps
+            position = layout.setup_positions[slot] + moves[:, :3]
+            position[:, 2] = np.clip(position[:, 2], *self.search_space.head_heights)
+            good = self.search_space.is_allowed(position)
+            return (
+                self.candidate_setups(position[good], layout.setup_yaws[slot] + moves[good, 3], slot)
+                if good.any()
+                else None
+            )
 
-        while reach > MIN_STEP:
+        while reach > MIN_REFINEMENT_STEP:
             before = value
-            layout, value = self._sweep(layout, value, around)
-            if not value < before * (1 - MIN_IMPROVEMENT):
+            layout, value = self._exchange_sweep(layout, value, around)
+            if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
 
-    def random_layout(self, rng: np.random.Generator) -> NormalBlocks:
+    def random_layout(self, random_generator: np.random.Generator) -> NormalBlocks:
         """Permitted random layout; fixed stations remain.
 
         It determines all poses and targets if a few draws give such a layout. Raises SetupError, with the targets that
         lack sights, if none is permitted.
         """
-        survey, free, places = self.site.survey, self._free, self.placement
-        tables = {slot: self.table(slot) for slot in free}
+        survey, free, places = self.search_space.survey, self._movable_stations, self.placement
+        tables = {slot: self.grid_setups(slot) for slot in free}
         lacking = ""
         loose: NormalBlocks | None = None
-        for _ in range(TRIES):
-            chosen = places.stations(len(free), self.site.min_sights, rng)
-            if len(chosen) < len(free) or places.missing(chosen, self.site.min_sights).any():
-                lacking = self.site.unseen_targets(places, chosen) if chosen else ""
+        for _ in range(MAX_RANDOM_LAYOUTS):
+            chosen = places.place_stations(len(free), self.search_space.min_sights, random_generator)
+            if len(chosen) < len(free) or places.missing_sights(chosen, self.search_space.min_sights).any():
+                lacking = self.search_space.unseen_targets_text(places, chosen) if chosen else ""
                 break
-            made = self.layout(survey.position, survey.yaw)
+            made = self.layout_blocks(survey.station_positions, survey.station_yaws)
             for slot, place in zip(free, chosen, strict=True):
-                at = np.flatnonzero((tables[slot].position == places.position[place]).all(axis=1))
+                at = np.flatnonzero((tables[slot].setup_positions == places.candidate_positions[place]).all(axis=1))
                 if len(at):
-                    made = made.with_station(slot, tables[slot].take(rng.choice(at, size=1)))
-            if self.site.feasible(made.position[None], made.visible[None])[0]:
-                if np.isfinite(self._value(made)):
+                    made = made.with_replaced_station(slot, tables[slot].select(random_generator.choice(at, size=1)))
+            if self.search_space.is_feasible(made.setup_positions[None], made.is_visible[None])[0]:
+                if np.isfinite(self._objective_of(made)):
                     return made
                 loose = made
         if loose is not None:
             return loose
         raise SetupError(
-            f"the search found no layout of {self.stations} stations among {len(places.position)} places that are "
-            f"{self.site.spacing:g} m apart and have every reflector in sight of {self.site.min_sights}"
+            f"the search found no layout of {self.n_stations} stations among "
+            f"{len(places.candidate_positions)} places that are "
+            f"{self.search_space.min_station_spacing:g} m apart and have every reflector in sight of "
+            f"{self.search_space.min_sights}"
             f"{f' (the closest one lacks sights of {lacking})' if lacking else ''}; lower "
             "stations.min_stations_per_target or stations.spacing_mm, or enlarge the floor"
         )
 
-    def _bound(self, layout: NormalBlocks) -> NormalBlocks:
+    def _connect_stations(self, layout: NormalBlocks) -> NormalBlocks:
         """Layout in which stations are exchanged for better connected ones until the network is determined."""
-        for slot in self._free * 2:
-            table = self.table(slot)
-            position, visible = _with_each(layout, slot, table)
-            worth = np.where(self.site.feasible(position, visible), self.site.connectivity(visible), -1.0)
+        for slot in self._movable_stations * 2:
+            table = self.grid_setups(slot)
+            position, visible = _with_each_candidate(layout, slot, table)
+            worth = np.where(
+                self.search_space.is_feasible(position, visible), self.search_space.connectivity(visible), -1.0
+            )
             if worth.max() < 0:
                 continue
-            layout = layout.with_station(slot, table.take(np.array([worth.argmax()])))
-            if np.isfinite(self._value(layout)):
+            layout = layout.with_replaced_station(slot, table.select(np.array([worth.argmax()])))
+            if np.isfinite(self._objective_of(layout)):
                 break
         return layout
 
-    def from_start(self, seed: int, start: int) -> PlannedLayout:
+    def search_from(self, seed: int, start_number: int) -> StationLayout:
         """Result of a start: number 0 begins at the declared layout if that is permitted, the others at random."""
-        rng = stream(seed, "plan", self.stations, start)
-        current = self.site.survey.position, self.site.survey.yaw
-        begins_there = start == 0 and np.isfinite(self.evaluate(*current).value)
-        layout = self.layout(*current) if begins_there else self.random_layout(rng)
-        if not np.isfinite(value := self._value(layout)):
-            value = self._value(layout := self._bound(layout))
-        self.keep(PlannedLayout(layout.position, layout.yaw, value))
-        layout, value = self.exchange(layout, value)
-        layout, value = self.refine(layout, value, rng)
-        return PlannedLayout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
+        rng = stream(seed, "plan", self.n_stations, start_number)
+        current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws
+        begins_there = start_number == 0 and np.isfinite(self.evaluate_layout(*current).objective_value)
+        layout = self.layout_blocks(*current) if begins_there else self.random_layout(rng)
+        if not np.isfinite(value := self._objective_of(layout)):
+            value = self._objective_of(layout := self._connect_stations(layout))
+        self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
+        layout, value = self.exchange_on_grid(layout, value)
+        layout, value = self.refine_off_grid(layout, value, rng)
+        return StationLayout(layout.setup_positions, np.mod(layout.setup_yaws, 2 * np.pi), value)
 
 
-def _with_each(layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
-    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate as station `slot`."""
-    count = len(candidates.position)
-    position: Floats = np.repeat(layout.position[None], count, axis=0)
-    visible: Bools = np.repeat(layout.visible[None], count, axis=0)
-    position[:, slot], visible[:, slot] = candidates.position, candidates.visible
+def _with_each_candidate(layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
+    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate as station `station_index`."""
+    count = len(candidates.setup_positions)
+    position: Floats = np.repeat(layout.setup_positions[None], count, axis=0)
+    visible: Bools = np.repeat(layout.is_visible[None], count, axis=0)
+    position[:, station_index], visible[:, station_index] = candidates.setup_positions, candidates.is_visible
     return position, visible

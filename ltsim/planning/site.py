@@ -1,7 +1,7 @@
 """Search space of a plan: candidate places, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
-`SearchSpace.feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` names the rules that a single
-layout breaks. Both use the same functions.
+`SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` names the rules that a
+single layout breaks. Both use the same functions.
 """
 
 from __future__ import annotations
@@ -18,286 +18,321 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
 from ltsim.core.values import ValueEquality
-from ltsim.planning.survey import Survey
-from ltsim.scene.floor import Area, KeepOut, grid_over, may_stand, reason_against
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, is_allowed_position, refusal_reason
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
+from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
 
-MIN_TARGETS = 3
+MIN_VISIBLE_TARGETS = 3
 """Smallest number of visible targets of a station."""
-COINCIDENCE_M = 1e-3
+MAX_COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] within which a station and a point coincide."""
 SPACING_TOLERANCE = 1e-9
 """Tolerance [m] of the minimum spacing of two stations, for rounding."""
-NEST_STEPS = 60
-NEST_MARGIN = 0.004
+MAX_NEST_AIMING_STEPS = 60
+"""Largest number of steps of the iteration that aims a fixed nest."""
+NEST_ANGLE_MARGIN = 0.004
 """Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
-MAX_NAMED = 8
-PLACEMENT_DRAWS = 24
+MAX_LISTED_NAMES = 8
+"""Largest number of names that a sentence lists."""
+N_PLACEMENT_DRAWS = 24
 """Number of random places that are tried for a station of a random placement."""
-MAX_NODES = 3000
+MAX_BRANCH_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
-RANDOM_COST = 1e-4
+RANDOM_PLACE_COST = 1e-4
 """Size of the random costs of places that vary the result; they are small compared with the cost of a missing sight."""
 
 
 class BrokenRule(NamedTuple):
     """Rule of the plan that a layout breaks."""
 
-    words: str
+    sentence: str
     """Sentence without its full stop, with the numbers and the key of the plan file."""
     stations: tuple[str, ...] = ()
     """Stations whose positions break it; empty for a rule about sights."""
 
 
-def words_of(rules: Sequence[BrokenRule]) -> str:
+def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
     """Broken rules in one line; empty for none."""
-    return "; ".join(rule.words for rule in rules)
+    return "; ".join(rule.sentence for rule in rules)
 
 
-def too_near(position: Floats, spacing: float) -> Bools:
+def is_too_near(position: Floats, spacing: float) -> Bools:
     """Flags (B, S, S), once per pair, of stations of layouts (B, S, 3) [m] nearer than the horizontal spacing [m]."""
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
     return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
 
-def short_of_sights(visible: Bools, least: int) -> Bools:
-    """Flags (B, T) of the targets that fewer than `least` stations see; `visible` is (B, S, T)."""
-    return np.asarray(visible.sum(axis=1) < least)
+def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
+    """Flags (B, T) of the targets that fewer than `min_sights` stations see; `is_visible` is (B, S, T)."""
+    return np.asarray(is_visible.sum(axis=1) < min_sights)
 
 
-def short_of_targets(visible: Bools) -> Bools:
-    """Flags (B, S) of the stations that see fewer than `MIN_TARGETS` targets; `visible` is (B, S, T)."""
-    return np.asarray(visible.sum(axis=2) < MIN_TARGETS)
+def has_too_few_targets(is_visible: Bools) -> Bools:
+    """Flags (B, S) of the stations that see fewer than `MIN_VISIBLE_TARGETS` targets; `is_visible` is (B, S, T)."""
+    return np.asarray(is_visible.sum(axis=2) < MIN_VISIBLE_TARGETS)
 
 
 @dataclass(frozen=True)
 class SearchSpace(ValueEquality):
     """Search space of a plan: allowed places of stations and reflectors, and the sights that a layout must have."""
 
-    survey: Survey
+    survey: PlannedSurvey
     """Initial layout: targets, gauge, noise, order of measurement."""
-    areas: tuple[Area, ...]
+    allowed_areas: tuple[StandingArea, ...]
     """Areas where tripods may stand."""
-    limits: SightLimits
-    aimed: Bools
+    sight_limits: SightLimits
+    is_aimed_nest: Bools
     """Flags (T,) of the targets in fixed nests, which are aimed for every layout and must serve all its stations."""
     obstacles: Obstacles | None = None
-    keep_outs: tuple[KeepOut, ...] = ()
-    """Areas where no tripod may stand, even inside `areas`."""
-    spacing: float = 1.0
+    forbidden_areas: tuple[KeepOutArea, ...] = ()
+    """Areas where no tripod may stand, even inside `allowed_areas`."""
+    min_station_spacing: float = 1.0
     """Smallest distance between stations [m]."""
     position_tolerance: float = 0.0
     """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
     min_sights: int = 1
     """Smallest number of stations that see each target."""
-    fixed: tuple[int, ...] = ()
+    fixed_stations: tuple[int, ...] = ()
     """Indices of the stations that do not move."""
-    nests: Floats | None = None
+    candidate_nests: Floats | None = None
     """Candidate places of reflectors, (P, 3) [m]; None if reflectors do not move."""
     nest_names: tuple[str, ...] = ()
-    reflector_spacing: float = 0.3
+    min_reflector_spacing: float = 0.3
     """Smallest distance between reflectors [m]."""
 
     @property
-    def heights(self) -> tuple[float, float]:
+    def head_heights(self) -> tuple[float, float]:
         """Lowest and highest centre of the instrument in any area [m]."""
-        return min(area.heights[0] for area in self.areas), max(area.heights[1] for area in self.areas)
+        return min(area.heights[0] for area in self.allowed_areas), max(area.heights[1] for area in self.allowed_areas)
 
     def replace(self, **changes: Any) -> SearchSpace:
         """Copy with other values of some fields."""
         return replace(self, **changes)
 
-    def allowed(self, position: Floats) -> Bools:
+    def is_allowed(self, position: Floats) -> Bools:
         """Flags (N,) of the positions at which a tripod may stand."""
-        return may_stand(self.areas, self.keep_outs, self.obstacles, position)
+        return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
-    def visible(self, position: Floats, points: Floats | None = None) -> Bools:
+    def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
         """Flags (N, T) of the targets visible within the position tolerance; nests are aimed later and not tested."""
-        goal = self.survey.points if points is None else points
-        table = visibility(position, goal, self.limits, obstacles=self.obstacles)
-        turn = self.position_tolerance / table.range_
-        lowest = max(self.limits.elevation_min, 0.5 * (self.limits.cone_opening - np.pi))
+        goal = self.survey.target_points if points is None else points
+        table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
+        turn = self.position_tolerance / table.ranges
+        lowest = max(self.sight_limits.elevation_min, 0.5 * (self.sight_limits.cone_opening - np.pi))
         good: Bools = (
-            table.visible & (table.elevation - turn >= lowest) & (table.elevation + turn <= self.limits.elevation_max)
+            table.is_visible
+            & (table.elevations - turn >= lowest)
+            & (table.elevations + turn <= self.sight_limits.elevation_max)
         )
-        good &= table.range_ - self.position_tolerance >= self.limits.range_min
+        good &= table.ranges - self.position_tolerance >= self.sight_limits.range_min
         if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(good)
-            good[s, t] = ~self.obstacles.blocked_near(
+            good[s, t] = ~self.obstacles.is_blocked_near(
                 position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
         return good
 
-    def feasible(self, position: Floats, visible: Bools) -> Bools:
+    def is_feasible(self, position: Floats, visible: Bools) -> Bools:
         """Flags (B,) of the layouts (B, S, 3) that meet all rules (spacing, targets, nests); `visible` is (B, S, T)."""
-        good: Bools = np.asarray(~short_of_sights(visible, self.min_sights).any(axis=1))
-        good &= ~short_of_targets(visible).any(axis=1)
-        good &= ~too_near(position, self.spacing).any(axis=(1, 2))
-        if self.aimed.any() and good.any():
-            good[good] = self._served(position[good]).all(axis=1)
+        good: Bools = np.asarray(~has_too_few_sights(visible, self.min_sights).any(axis=1))
+        good &= ~has_too_few_targets(visible).any(axis=1)
+        good &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
+        if self.is_aimed_nest.any() and good.any():
+            good[good] = self._has_aimed_nest(position[good]).all(axis=1)
         return good
 
-    def broken_rules(self, survey: Survey) -> tuple[BrokenRule, ...]:
+    def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """All rules that a layout breaks, those of positions first; empty for a layout that the search permits."""
-        return (*self.broken_places(survey), *self.broken_sights(survey))
+        return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
-    def broken_places(self, survey: Survey) -> tuple[BrokenRule, ...]:
+    def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules that the positions of stations break, without those on sights."""
-        names, position = survey.station_names, survey.position
+        names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := reason_against(self.areas, self.keep_outs, self.obstacles, place):
+            if why := refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
-        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < COINCIDENCE_M).tolist():
+        for s, t in np.argwhere(
+            np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
+        ).tolist():
             rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
-        for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
+        for first, second in np.argwhere(is_too_near(position[None], self.min_station_spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
-            words = f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.spacing:g} m"
+            words = (
+                f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.min_station_spacing:g} m"
+            )
             rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
         return tuple(rules)
 
-    def broken_sights(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules on sights that a layout breaks, from its `visible`."""
-        visible, targets, rules = survey.visible[None], survey.target_names, []
-        few = [targets[t] for t in np.flatnonzero(short_of_sights(visible, self.min_sights)[0])]
+    def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
+        """Rules on sights that a layout breaks, from its `is_visible`."""
+        visible, targets, rules = survey.is_visible[None], survey.target_names, []
+        few = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
         if few:
             verb, stations = (
                 "is" if len(few) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MAX_NAMED)
+            named = listing(few, MAX_LISTED_NAMES)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
-        for s in np.flatnonzero(short_of_targets(visible)[0]):
-            count = int(survey.visible[s].sum())
-            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_TARGETS}"))
-        if self.aimed.any():
-            aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
-            turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
+        for s in np.flatnonzero(has_too_few_targets(visible)[0]):
+            count = int(survey.is_visible[s].sum())
+            rules.append(
+                BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_VISIBLE_TARGETS}")
+            )
+        if self.is_aimed_nest.any():
+            aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
+            turned = [
+                name
+                for name, ok in zip(aimed, self._has_aimed_nest(survey.station_positions[None])[0], strict=True)
+                if not ok
+            ]
             if turned:
-                words = f"no fixed nest of {listing(turned, MAX_NAMED)} returns the beam to all stations"
+                words = f"no fixed nest of {listing(turned, MAX_LISTED_NAMES)} returns the beam to all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
     def connectivity(self, visible: Bools) -> Floats:
         """Number of stations connected to the first by two common targets, plus mean number of common targets, (B,)."""
-        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), MIN_TARGETS)
+        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
-        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_TARGETS + 1))
+        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
-    def _served(self, position: Floats) -> Bools:
+    def _has_aimed_nest(self, position: Floats) -> Bools:
         """Flags (B, N) of the fixed nests that can be aimed so that all stations are within the acceptance angle."""
-        back = position[:, None] - self.survey.points[self.aimed][:, None, :]
+        back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
-        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
+        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
-        return np.asarray(incidence.max(axis=2) < self.limits.acceptance - NEST_MARGIN)
+        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
 
-    def out_of_sight(self, hidden: Ints) -> str:
+    def invisible_targets_sentence(self, hidden: Ints) -> str:
         """Sentence on targets that no place on the floor sees, with a remedy."""
-        held = hidden[self.obstacles.holds(self.survey.points[hidden])] if self.obstacles else hidden[:0]
+        held = (
+            hidden[self.obstacles.is_inside_body(self.survey.target_points[hidden])] if self.obstacles else hidden[:0]
+        )
         names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
-        low, high = (1e3 * height for height in self.heights)
+        low, high = (1e3 * height for height in self.head_heights)
         cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
-            cure = f"{listing(within, MAX_NAMED)} {lie} inside an obstacle: move points or bodies"
-        return f"no place on the floor sees {listing(names, MAX_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
+            cure = f"{listing(within, MAX_LISTED_NAMES)} {lie} inside an obstacle: move points or bodies"
+        return (
+            f"no place on the floor sees {listing(names, MAX_LISTED_NAMES)}, from heads at {low:g} to {high:g} "
+            f"mm; {cure}"
+        )
 
-    def unseen_targets(self, placement: Placement, chosen: list[int]) -> str:
+    def unseen_targets_text(self, placement: StationPlacement, chosen: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
-        few = np.flatnonzero(placement.missing(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MAX_NAMED) if len(few) else ""
+        few = np.flatnonzero(placement.missing_sights(chosen, self.min_sights))
+        return listing([self.survey.target_names[t] for t in few], MAX_LISTED_NAMES) if len(few) else ""
 
-    def places(self, step: float, heights: int) -> Floats:
+    def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
-        grid = np.concatenate([grid_over(area, step, heights) for area in self.areas])
-        return np.unique(grid[self.allowed(grid)], axis=0)
+        grid = np.concatenate([grid_over_area(area, step, heights) for area in self.allowed_areas])
+        return np.unique(grid[self.is_allowed(grid)], axis=0)
 
-    def placement(self, step: float, heights: int) -> Placement:
+    def greedy_placement(self, step: float, heights: int) -> StationPlacement:
         """Greedy placement on a grid of places from which three targets are visible; fixed stations are included.
 
         Raises SetupError if there is no such place.
         """
-        places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
-        visible = self.visible(places)
-        enough = visible.sum(axis=1) >= MIN_TARGETS
+        places, fixed = self.grid_places(step, heights), self.survey.station_positions[list(self.fixed_stations)]
+        visible = self.is_visible(places)
+        enough = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
         if not enough.any():
             raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
-        counted = self.visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
-        return Placement(places[enough], visible[enough], self.spacing, fixed, counted)
+        counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
+        return StationPlacement(places[enough], visible[enough], self.min_station_spacing, fixed, counted)
 
 
 @dataclass(frozen=True)
-class Placement:
+class StationPlacement:
     """Candidate places of stations, in addition to the fixed stations."""
 
-    position: Floats
+    candidate_positions: Floats
     """Candidate places, (N, 3) [m]."""
-    visible: Bools
+    is_visible: Bools
     """Visibility flags of the targets from each place, (N, T)."""
-    spacing: float
+    min_spacing: float
     """Smallest horizontal distance between two stations [m]."""
-    standing: Floats
+    fixed_positions: Floats
     """Positions of the fixed stations, (F, 3) [m]."""
-    counted: Ints
+    n_fixed_sights: Ints
     """Number of fixed stations that see each target, (T,)."""
 
-    def stations(self, count: int, wanted: int, rng: np.random.Generator | None = None) -> list[int]:
-        """Places of `count` stations that give each target `wanted` sights, or the fewest missing sights.
+    def place_stations(
+        self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
+    ) -> list[int]:
+        """Places of `n_stations` stations that give each target `wanted_sights` sights, or the fewest missing sights.
 
-        With `rng` each station is at the best of a few random places, so that each draw gives another result.
+        With `random_generator` each station is at the best of a few random places, so that each draw gives another
+        result.
         """
         chosen: list[int] = []
-        while len(chosen) < count and (place := self._best(chosen, wanted, rng)) >= 0:
+        while len(chosen) < n_stations and (place := self._best_place(chosen, wanted_sights, random_generator)) >= 0:
             chosen.append(place)
-        if len(chosen) == count and not self.missing(chosen, wanted).any():
+        if len(chosen) == n_stations and not self.missing_sights(chosen, wanted_sights).any():
             return chosen
-        return self._exact(count, wanted, rng) or chosen
+        return self._optimal_places(n_stations, wanted_sights, random_generator) or chosen
 
-    def missing(self, chosen: list[int], wanted: int) -> Ints:
-        """Number of missing sights of each target, (T,), until it has `wanted`."""
-        return np.asarray(np.maximum(wanted - self.counted - self.visible[chosen].sum(axis=0), 0))
+    def missing_sights(self, chosen: list[int], wanted_sights: int) -> Ints:
+        """Number of missing sights of each target, (T,), until it has `wanted_sights`."""
+        return np.asarray(np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[chosen].sum(axis=0), 0))
 
-    def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
+    def _best_place(self, others: list[int], wanted_sights: int, random_generator: np.random.Generator | None) -> int:
         """Place that adds most sights to the others, with a small weight for sights beyond the wanted number.
 
         It is -1 if none is permitted.
         """
-        count = len(self.position)
-        rows = np.arange(count) if rng is None else rng.integers(count, size=min(PLACEMENT_DRAWS, count))
-        had = self.counted + self.visible[others].sum(axis=0)
-        worth = (np.minimum(had + self.visible[rows], wanted) - np.minimum(had, wanted)).sum(axis=1).astype(np.float64)
-        worth += 1e-3 * (self.visible[rows] / (1.0 + had) ** 2).sum(axis=1)
-        for place in (*self.standing, *self.position[others]):
-            worth[np.linalg.norm(self.position[rows, :2] - place[:2], axis=1) < self.spacing] = -1.0
+        count = len(self.candidate_positions)
+        rows = (
+            np.arange(count)
+            if random_generator is None
+            else random_generator.integers(count, size=min(N_PLACEMENT_DRAWS, count))
+        )
+        had = self.n_fixed_sights + self.is_visible[others].sum(axis=0)
+        worth = (
+            (np.minimum(had + self.is_visible[rows], wanted_sights) - np.minimum(had, wanted_sights))
+            .sum(axis=1)
+            .astype(np.float64)
+        )
+        worth += 1e-3 * (self.is_visible[rows] / (1.0 + had) ** 2).sum(axis=1)
+        for place in (*self.fixed_positions, *self.candidate_positions[others]):
+            worth[np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing] = -1.0
         return int(rows[np.argmax(worth)]) if worth.max(initial=-1.0) >= 0.0 else -1
 
-    def _exact(self, count: int, wanted: int, rng: np.random.Generator | None) -> list[int]:
+    def _optimal_places(
+        self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
+    ) -> list[int]:
         """Places with the fewest missing sights among all combinations; empty if no combination keeps the spacing."""
-        places, targets = self.visible.shape
-        gap = np.linalg.norm(self.position[:, None, :2] - self.standing[None, :, :2], axis=2)
-        free = (gap >= self.spacing).all(axis=1)
-        near = np.linalg.norm(self.position[:, None, :2] - self.position[None, :, :2], axis=2) < self.spacing
+        places, targets = self.is_visible.shape
+        gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
+        free = (gap >= self.min_spacing).all(axis=1)
+        near = (
+            np.linalg.norm(self.candidate_positions[:, None, :2] - self.candidate_positions[None, :, :2], axis=2)
+            < self.min_spacing
+        )
         first, second = np.nonzero(np.triu(near, 1))
         rows = np.arange(len(first))
         pairs = sp.csr_array((np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places))
-        sights = sp.hstack([sp.csr_array(self.visible.T.astype(np.float64)), sp.eye_array(targets)])
-        need = np.maximum(wanted - self.counted, 0)
+        sights = sp.hstack([sp.csr_array(self.is_visible.T.astype(np.float64)), sp.eye_array(targets)])
+        need = np.maximum(wanted_sights - self.n_fixed_sights, 0)
         limits = [
             LinearConstraint(sights, need, np.inf),
-            LinearConstraint(np.r_[np.ones(places), np.zeros(targets)][None], count, count),
+            LinearConstraint(np.r_[np.ones(places), np.zeros(targets)][None], n_stations, n_stations),
         ]
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
-        cost = np.zeros(places) if rng is None else RANDOM_COST * rng.random(places)
+        cost = np.zeros(places) if random_generator is None else RANDOM_PLACE_COST * random_generator.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
-            bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted))]),
-            options={"node_limit": MAX_NODES},
+            bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted_sights))]),
+            options={"node_limit": MAX_BRANCH_NODES},
         )
         return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

@@ -6,17 +6,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
-WALLS = "walls"
+WALLS_NAME = "walls"
 """Name of the room's walls in the list of bodies that can hold nests."""
-Few = Annotated[int, Field(ge=2, le=40)]
+SmallCount = Annotated[int, Field(ge=2, le=40)]
 
 
-class Point(TomlSection):
+class PointEntry(TomlSection):
     """Point to be measured; with ``points = "points.csv"`` these keys are columns of the file.
 
     The file is a list of coordinates in any supported format, such as ``Name;X [m];Y [m];Z [m]``.
@@ -38,17 +38,17 @@ class Point(TomlSection):
     """Largest permitted point error, at the confidence level of the goal."""
 
 
-class Stations(TomlSection):
+class StationSettings(TomlSection):
     """Number of stations, numbers of the trade-off curve, fixed stations, and rules.
 
     Every sight must be free for an instrument up to `position_tolerance_mm` from its planned position.
     """
 
-    count: Few | None = None
+    count: SmallCount | None = None
     """Number of stations; default that of the scenario."""
-    max_count: Few = 8
+    max_count: SmallCount = 8
     """Largest number of stations that is tried for the tolerances of the goal, if no count is given."""
-    tradeoff_counts: tuple[Few, ...] = ()
+    tradeoff_counts: tuple[SmallCount, ...] = ()
     """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
     """Stations of the scenario that do not move."""
@@ -60,7 +60,7 @@ class Stations(TomlSection):
     """Smallest number of stations that see each reflector; default all of them, or as many as some layout permits."""
 
 
-class Surface(TomlSection):
+class CandidateSurface(TomlSection):
     """Flat surface with candidate places in rows and columns: origin, its two sides, number along each."""
 
     name: str
@@ -86,10 +86,10 @@ class CandidatePlace(TomlSection):
     """Coordinates of the place."""
 
 
-class Reflectors(TomlSection):
+class ReflectorSettings(TomlSection):
     """Candidate places of the mesh's reflectors; without any they do not move. The gauge never moves."""
 
-    surfaces: tuple[Surface, ...] = ()
+    surfaces: tuple[CandidateSurface, ...] = ()
     """Tables `[[reflectors.surfaces]]`: surfaces with a grid of candidate places."""
     places: tuple[CandidatePlace, ...] = ()
     """Tables `[[reflectors.places]]`: single candidate places."""
@@ -109,7 +109,7 @@ class Reflectors(TomlSection):
     """Smallest distance between two reflectors."""
 
 
-class Budget(TomlSection):
+class BudgetSettings(TomlSection):
     """Cost of the measurement, and the procedures that are tried; default times are those of the scenario."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
@@ -135,7 +135,7 @@ class PointTolerance(TomlSection):
     """Largest distance of a point from its true position, in the datum of all reflectors."""
 
 
-class Goal(TomlSection):
+class GoalSettings(TomlSection):
     """Goal of a layout: weights of its qualities (0: ignored), and tolerances that points must meet.
 
     With tolerances and without a number of stations, the smallest sufficient number is searched. With a list of points
@@ -167,13 +167,13 @@ class Goal(TomlSection):
     """Loss after which the tolerances must still be met: any single sight, any single station, or none."""
 
     @model_validator(mode="after")
-    def _something(self) -> Goal:
+    def _something(self) -> GoalSettings:
         if self.instrument + self.targets + self.diagnosis == 0:
             raise ValueError("it should weigh at least one of instrument, targets and diagnosis")
         return self
 
 
-class Search(TomlSection):
+class SearchSettings(TomlSection):
     """Extent of the search."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
@@ -201,7 +201,7 @@ class PlanFile(TomlSection):
     """Free text."""
     scenario: str = "paper-workshop"
     """Built-in scenario, or a file in the same folder; not permitted with a `[workshop]` in the plan."""
-    points: str | tuple[Point, ...] = ()
+    points: str | tuple[PointEntry, ...] = ()
     """Points to measure: the name of a CSV file in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
     """Hall in place of a scenario, as in a scenario file; the default height of heads is 1400 to 1800 mm."""
@@ -211,19 +211,19 @@ class PlanFile(TomlSection):
     """Reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and timing of the measurement, as in a scenario file; the default order is as listed."""
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, included in all results; default that of the scenario."""
     floor: Floor = Floor()
     """Areas where tripods may or may not stand."""
-    stations: Stations = Stations()
+    stations: StationSettings = StationSettings()
     """Number of stations, and their rules."""
-    reflectors: Reflectors = Reflectors()
+    reflectors: ReflectorSettings = ReflectorSettings()
     """Candidate places of reflectors."""
-    budget: Budget = Budget()
+    budget: BudgetSettings = BudgetSettings()
     """Limits on the cost of the measurement."""
-    goal: Goal = Goal()
+    goal: GoalSettings = GoalSettings()
     """Goal of the layout: weights of qualities, tolerances of points."""
-    search: Search = Search()
+    search: SearchSettings = SearchSettings()
     """Extent of the search."""
 
     def with_min_stations(self, least: int) -> PlanFile:
@@ -231,22 +231,22 @@ class PlanFile(TomlSection):
         return self.model_copy(update={"stations": self.stations.model_copy(update={"min_stations_per_target": least})})
 
     @property
-    def asks_for_sights(self) -> bool:
+    def requires_sights(self) -> bool:
         """True if the file requires a number of stations that see each reflector."""
         return "min_stations_per_target" in self.stations.model_fields_set
 
     @property
-    def chooses(self) -> bool:
+    def chooses_procedure(self) -> bool:
         """True if the procedure is chosen: by a budget of hours, or as the fastest one that meets the tolerances."""
-        return self.budget.hours is not None or self.searches_count
+        return self.budget.hours is not None or self.searches_station_count
 
     @property
-    def searches_count(self) -> bool:
+    def searches_station_count(self) -> bool:
         """True if the smallest number of stations that meets the tolerances is searched."""
-        wanted = bool(self.goal.tolerances) or any(point.tolerance_mm is not None for point in self.listed)
+        wanted = bool(self.goal.tolerances) or any(point.tolerance_mm is not None for point in self.listed_points)
         return wanted and self.stations.count is None
 
     @property
-    def listed(self) -> tuple[Point, ...]:
+    def listed_points(self) -> tuple[PointEntry, ...]:
         """Points of the list after its file was read."""
         return () if isinstance(self.points, str) else self.points

@@ -7,31 +7,31 @@ from time import monotonic
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.search import LayoutSearcher, PlannedLayout
+from ltsim.planning.search import LayoutSearcher, StationLayout
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.survey import Survey
-from ltsim.planning.workshop import objective_of, site_of, staying
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.workshop import is_fixed_target, layout_objective, make_search_space
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
-ROUNDS = 2
+N_ALTERNATIONS = 2
 """Number of times that stations and reflectors are chosen alternately."""
 REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
 MIN_REPORTED_GAIN = 0.01
 """Smallest relative improvement of the objective at which a layout is reported."""
 
-Layout = tuple[float, Survey]
+RatedLayout = tuple[float, PlannedSurvey]
 """Value and survey of a layout."""
-Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
+LayoutsByCount = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
 """Value, start and survey of each layout, by number of stations and of faces."""
 
 
@@ -39,9 +39,9 @@ Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 class SearchTask:
     """Search as a task for a worker process."""
 
-    stations: int
-    faces: int
-    start: int
+    n_stations: int
+    n_faces: int
+    start_number: int
 
 
 @dataclass(frozen=True)
@@ -52,57 +52,64 @@ class PlanningProblem:
     scenario: Scenario
 
     @property
-    def built(self) -> Construction:
+    def construction(self) -> Construction:
         """Construction whose parameters are estimated."""
         return planned_construction(self.scenario)
 
-    def site(self, task: SearchTask) -> SearchSpace:
+    def search_space(self, task: SearchTask) -> SearchSpace:
         """Search space of a task."""
-        return site_of(self.file, self.scenario, stations=task.stations, faces=task.faces)
+        return make_search_space(self.file, self.scenario, stations=task.n_stations, faces=task.n_faces)
 
-    def searcher(
-        self, site: SearchSpace, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
+    def make_searcher(
+        self,
+        site: SearchSpace,
+        tell: Callable[[float], None] = no_progress,
+        keep: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
         """Search in a search space for the file's objective."""
-        settings, objective = self.file.search, objective_of(self.file, site.survey)
-        step = grid_step(site.areas, settings.grid_mm)
-        return LayoutSearcher(site, objective, self.built, step, settings.yaws, settings.heights, tell, keep)
+        settings, objective = self.file.search, layout_objective(self.file, site.survey)
+        step = grid_step(site.allowed_areas, settings.grid_mm)
+        return LayoutSearcher(site, objective, self.construction, step, settings.yaws, settings.heights, tell, keep)
 
 
-def gathered(
+def run_searches(
     problem: PlanningProblem,
     tasks: Sequence[SearchTask],
     jobs: int,
     share: Callable[[float], None],
-    keep: Callable[[Survey, float], None],
-) -> tuple[Layouts, bool]:
+    keep: Callable[[PlannedSurvey, float], None],
+) -> tuple[LayoutsByCount, bool]:
     """Layouts of all searches, and True if Ctrl-C ended them; results are collected as searches end.
 
     `share` is called with the finished fraction, `keep` with each better layout and its objective. With one job the
     search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
     """
-    best: dict[int, Layout] = {}
+    best: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
-    def better(number: int, value: float, survey: Survey) -> None:
+    def better(number: int, value: float, survey: PlannedSurvey) -> None:
         nonlocal reported, last
         best[number] = value, survey
         if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
             reported, last = value, monotonic()
             keep(survey, value)
 
-    def running(number: int) -> tuple[Callable[[float], None], Callable[[PlannedLayout], None]]:
+    def running(number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
         """Callbacks of a search in this process: finished fraction, better layout."""
-        site = problem.site(tasks[number])
+        site = problem.search_space(tasks[number])
         return (
             lambda part: share((finished + part) / len(tasks)),
-            lambda layout: better(number, layout.value, _moved(site, layout.position, layout.yaw)),
+            lambda layout: better(
+                number, layout.objective_value, _with_moved_stations(site, layout.positions, layout.yaws)
+            ),
         )
 
     jobs = min(jobs, len(tasks))
     work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
-        for number, layout in parallel(_task if jobs == 1 else _task_of_worker, work, jobs, ordered=False):
+        for number, layout in run_parallel(
+            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, ordered=False
+        ):
             finished += 1
             share(finished / len(tasks))
             best.pop(number, None)
@@ -110,20 +117,20 @@ def gathered(
                 better(number, *layout)
     except KeyboardInterrupt:
         stopped = True
-    layouts: Layouts = {}
+    layouts: LayoutsByCount = {}
     for number, (value, survey) in sorted(best.items()):
         task = tasks[number]
-        layouts.setdefault((task.stations, task.faces), []).append((value, task.start, survey))
+        layouts.setdefault((task.n_stations, task.n_faces), []).append((value, task.start_number, survey))
     return layouts, stopped
 
 
-def _task(
+def _layout_of_start(
     problem: PlanningProblem,
     task: SearchTask,
     number: int,
-    tell: Callable[[float], None] = quiet,
-    keep: Callable[[PlannedLayout], None] = quiet,
-) -> tuple[int, Layout | None]:
+    tell: Callable[[float], None] = no_progress,
+    keep: Callable[[StationLayout], None] = no_progress,
+) -> tuple[int, RatedLayout | None]:
     """Layout of one start; None if the rules permit none, or if ranges from too few stations determine none."""
     try:
         return number, search_from_start(problem, task, tell, keep)
@@ -131,33 +138,39 @@ def _task(
         return number, None
 
 
-def _task_of_worker(problem: PlanningProblem, task: SearchTask, number: int) -> tuple[int, Layout | None]:
+def _layout_in_worker(problem: PlanningProblem, task: SearchTask, number: int) -> tuple[int, RatedLayout | None]:
     """Layout of one start in a worker process, which ignores Ctrl-C and leaves it to the main process."""
     signal(SIGINT, SIG_IGN)
-    return _task(problem, task, number)
+    return _layout_of_start(problem, task, number)
 
 
 def search_from_start(
     problem: PlanningProblem,
     task: SearchTask,
-    tell: Callable[[float], None] = quiet,
-    keep: Callable[[PlannedLayout], None] = quiet,
-) -> Layout:
+    tell: Callable[[float], None] = no_progress,
+    keep: Callable[[StationLayout], None] = no_progress,
+) -> RatedLayout:
     """Layout of a start: search of stations, of reflectors if these are movable, and of stations again."""
-    site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
-    rounds, done = 1 if stays.all() else 1 + ROUNDS, 0
-    searcher = problem.searcher(site, lambda share: tell((done + share) / rounds), keep)
-    layout = searcher.from_start(seed, task.start)
-    survey = _moved(site, layout.position, layout.yaw)
+    site, stays, seed = (
+        problem.search_space(task),
+        is_fixed_target(problem.file, problem.scenario),
+        problem.file.search.seed,
+    )
+    rounds, done = 1 if stays.all() else 1 + N_ALTERNATIONS, 0
+    searcher = problem.make_searcher(site, lambda share: tell((done + share) / rounds), keep)
+    layout = searcher.search_from(seed, task.start_number)
+    survey = _with_moved_stations(site, layout.positions, layout.yaws)
     while done < rounds - 1:
         done += 1
-        survey = choose_reflectors(site, survey, stays, searcher.objective, problem.built)
-        stays = np.arange(len(survey.points)) < stays.sum()
-        site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        layout = replace(searcher, site=site, keep=quiet).from_start(seed, 0)
-        survey = _moved(site, layout.position, layout.yaw)
-    return layout.value, survey
+        survey = choose_reflectors(site, survey, stays, searcher.objective, problem.construction)
+        stays = np.arange(len(survey.target_points)) < stays.sum()
+        site = site.replace(
+            survey=survey, is_aimed_nest=np.full(len(survey.target_points), bool(site.is_aimed_nest.any()))
+        )
+        layout = replace(searcher, search_space=site, on_layout=no_progress).search_from(seed, 0)
+        survey = _with_moved_stations(site, layout.positions, layout.yaws)
+    return layout.objective_value, survey
 
 
-def _moved(site: SearchSpace, position: Floats, yaw: Floats) -> Survey:
-    return site.survey.replace(position=position, yaw=yaw, visible=site.visible(position))
+def _with_moved_stations(site: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
+    return site.survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))

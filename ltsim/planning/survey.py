@@ -11,30 +11,30 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints, as_floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State
-from ltsim.recordings.air import Air
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
 from ltsim.recordings.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class Survey:
+class PlannedSurvey:
     """Survey with upright stations, targets, and the pointings between them."""
 
     setup: Setup
     """Set-up of the survey: noise, priors, gauge, nests, as in a recording."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
-    position: Floats
+    station_positions: Floats
     """Centre of each instrument, (S, 3) [m]."""
-    yaw: Floats
+    station_yaws: Floats
     """Yaw of each instrument, (S,) [rad]."""
-    points: Floats
+    target_points: Floats
     """Coordinates of the targets, (T, 3) [m]."""
-    visible: Bools
+    is_visible: Bools
     """Flags (S, T) of the targets that each station measures."""
     faces: tuple[int, ...] = (1, 2)
     """Faces that are measured: 1, 2 or both."""
@@ -43,107 +43,111 @@ class Survey:
     seconds_per_pointing: float = 10.0
     seconds_per_move: float = 1200.0
     """Time [s] to move the instrument and set it up, per station."""
-    rank: Ints | None = None
+    target_ranks: Ints | None = None
     """Rank of each target in each station's visit, (S, T); default as listed."""
-    face_by_face: bool = True
+    measures_face_by_face: bool = True
     """True if all targets are measured on one face and then on the other; False if both faces of each target follow
     each other.
     """
     observables: tuple[str, ...] = OBSERVABLES
     """Observables of each pointing: range and both angles, or the range alone."""
-    importance: Mapping[str, float] = field(default_factory=dict)
+    target_weights: Mapping[str, float] = field(default_factory=dict)
     """Weight of targets by name in the root mean square of point errors; default 1."""
 
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Air that a search includes; None if no line of sight can be long enough. Final results use that of the set-up."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
-        as_floats(self.position, (stations, 3), "position")
-        as_floats(self.yaw, (stations,), "yaw")
-        as_floats(self.points, (targets, 3), "points")
-        if self.visible.shape != (stations, targets):
-            entries = " x ".join(map(str, self.visible.shape))
+        as_floats(self.station_positions, (stations, 3), "position")
+        as_floats(self.station_yaws, (stations,), "yaw")
+        as_floats(self.target_points, (targets, 3), "points")
+        if self.is_visible.shape != (stations, targets):
+            entries = " x ".join(map(str, self.is_visible.shape))
             raise SetupError(f"the table of visibility has {entries} entries, expected {stations} x {targets}")
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
-    def noise(self, sightings: Sightings) -> Floats:
+    def nominal_noise(self, sightings: Sightings) -> Floats:
         """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
     @property
-    def pointings(self) -> int:
+    def n_pointings(self) -> int:
         """Number of pointings n."""
-        return int(self.visible.sum()) * len(self.faces) * self.repeats
+        return int(self.is_visible.sum()) * len(self.faces) * self.repeats
 
     @property
-    def seconds(self) -> float:
+    def duration(self) -> float:
         """Duration [s] of the whole measurement: set-up and pointings of every station."""
-        return self.pointings * self.seconds_per_pointing + len(self.position) * self.seconds_per_move
+        return self.n_pointings * self.seconds_per_pointing + len(self.station_positions) * self.seconds_per_move
 
     @property
-    def words(self) -> str:
+    def extent_text(self) -> str:
         """Text of extent and duration of the measurement, in one line."""
         faces = "both faces" if len(self.faces) == 2 else f"face {self.faces[0]}"
         rounds = "once" if self.repeats == 1 else f"{self.repeats} times"
         return (
-            f"{len(self.position)} stations, {len(self.points)} reflectors, {faces}, {rounds}: {self.pointings} "
-            f"pointings in {self.seconds / 3600:.1f} h"
+            f"{len(self.station_positions)} stations, {len(self.target_points)} reflectors, {faces}, "
+            f"{rounds}: {self.n_pointings} "
+            f"pointings in {self.duration / 3600:.1f} h"
         )
 
     @property
-    def used(self) -> Bools:
+    def used_observables(self) -> Bools:
         """Flags (3,) of the recorded observables: range, azimuth, elevation."""
         return np.array([name in self.observables for name in OBSERVABLES])
 
     @property
-    def is_whole(self) -> bool:
+    def records_angles(self) -> bool:
         """True for ranges with both angles, False for ranges alone."""
-        return bool(self.used.all())
+        return bool(self.used_observables.all())
 
     @property
-    def weight(self) -> Floats:
+    def normalised_target_weights(self) -> Floats:
         """Weight (T,) of each target's squared error, with mean one."""
-        weight = np.array([self.importance.get(name, 1.0) for name in self.target_names], dtype=np.float64)
+        weight = np.array([self.target_weights.get(name, 1.0) for name in self.target_names], dtype=np.float64)
         return weight / weight.mean() if weight.any() else np.ones_like(weight)
 
     @property
-    def rotation(self) -> Floats:
+    def station_rotations(self) -> Floats:
         """Instrument frame to network frame, (S, 3, 3)."""
-        return np.stack([about_z(float(yaw)) for yaw in self.yaw])
+        return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
-    def state(self, construction: Construction) -> State:
+    def nominal_state(self, construction: Construction) -> NetworkState:
         """Nominal state: a perfect instrument at the planned positions."""
-        empty = self._empty()
-        values = np.zeros((len(empty.instruments), construction.size))
-        errors = np.zeros(MeasurementModel(empty, construction).extra_size)
-        return State(self.position, self.rotation, self.points, values, errors)
+        empty = self._empty_recording()
+        values = np.zeros((len(empty.instruments), construction.n_parameters))
+        errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
+        return NetworkState(self.station_positions, self.station_rotations, self.target_points, values, errors)
 
-    def recording(self, construction: Construction) -> Recording:
+    def noise_free_recording(self, construction: Construction) -> Recording:
         """Recording of a perfect instrument without noise.
 
         Rows are in the order of measurement, station by station; a repeat is another complete visit.
         """
-        empty = self._empty()
-        readings = MeasurementModel(empty, construction).predict(self.state(construction))
-        readings[:, ~self.used] = np.nan
+        empty = self._empty_recording()
+        readings = MeasurementModel(empty, construction).predict(self.nominal_state(construction))
+        readings[:, ~self.used_observables] = np.nan
         return empty.with_readings(readings)
 
-    def turn(self, station: Ints, target: Ints, face: Ints) -> Ints:
+    def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
         """Rank (n,) of pointings in the first round of their station's visit, from 0."""
-        rank = target if self.rank is None else self.rank[station, target]
+        rank = target if self.target_ranks is None else self.target_ranks[station, target]
         number = np.searchsorted(np.sort(self.faces), face)
-        if self.face_by_face:
-            return np.asarray(number * len(self.points) + rank)
+        if self.measures_face_by_face:
+            return np.asarray(number * len(self.target_points) + rank)
         return np.asarray(rank * len(self.faces) + number)
 
     @property
     def _placed_setup(self) -> Setup:
         """Set-up with the survey's positions of the stations, which determine the directions of nests."""
         places = zip(
-            self.station_names, (self.position / MILLIMETRE).tolist(), np.degrees(self.yaw).tolist(), strict=True
+            self.station_names,
+            (self.station_positions / MILLIMETRE).tolist(),
+            np.degrees(self.station_yaws).tolist(),
+            strict=True,
         )
         declared = {
             name: self.setup.stations.get(name, Station()).model_copy(update={"position_mm": tuple(p), "yaw_deg": yaw})
@@ -151,12 +155,12 @@ class Survey:
         }
         return self.setup.model_copy(update={"stations": declared})
 
-    def _empty(self) -> Recording:
+    def _empty_recording(self) -> Recording:
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
-        axes = np.arange(len(self.position)), rounds, faces, np.arange(len(self.points))
+        axes = np.arange(len(self.station_positions)), rounds, faces, np.arange(len(self.target_points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        order = np.lexsort((self.turn(station, target, face), repeat, station))
-        order = order[self.visible[station[order], target[order]]]
+        order = np.lexsort((self.pointing_ranks(station, target, face), repeat, station))
+        order = order[self.is_visible[station[order], target[order]]]
         station, repeat, face, target = (axis[order].astype(np.int64) for axis in (station, repeat, face, target))
         return Recording(
             setup=self._placed_setup,
@@ -170,28 +174,30 @@ class Survey:
             readings=np.full((len(station), 3), np.nan),
         )
 
-    def without(self, station: int) -> Survey:
+    def without_station(self, station: int) -> PlannedSurvey:
         """The survey without one station."""
-        keep = np.arange(len(self.position)) != station
+        keep = np.arange(len(self.station_positions)) != station
         return self.replace(
             station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
-            position=self.position[keep],
-            yaw=self.yaw[keep],
-            visible=self.visible[keep],
-            rank=None if self.rank is None else self.rank[keep],
+            station_positions=self.station_positions[keep],
+            station_yaws=self.station_yaws[keep],
+            is_visible=self.is_visible[keep],
+            target_ranks=None if self.target_ranks is None else self.target_ranks[keep],
         )
 
-    def only(self, targets: Bools) -> Survey:
+    def with_targets_only(self, targets: Bools) -> PlannedSurvey:
         """Survey with a selection of its targets."""
         if targets.all():
             return self
         return self.replace(
             target_names=tuple(n for n, k in zip(self.target_names, targets, strict=True) if k),
-            points=self.points[targets],
-            visible=self.visible[:, targets],
-            rank=None if self.rank is None else np.argsort(np.argsort(self.rank[:, targets], axis=1), axis=1),
+            target_points=self.target_points[targets],
+            is_visible=self.is_visible[:, targets],
+            target_ranks=None
+            if self.target_ranks is None
+            else np.argsort(np.argsort(self.target_ranks[:, targets], axis=1), axis=1),
         )
 
-    def replace(self, **changes: Any) -> Survey:
+    def replace(self, **changes: Any) -> PlannedSurvey:
         """Copy with other values of some fields."""
         return replace(self, **changes)

@@ -2,11 +2,11 @@
 
 from ltsim.core.results import Column, Table, columns_of, flags, numbers, texts
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, OptionEntry
+from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
-PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
-STATIONS = Table(
+PLACE_COLUMNS = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
+STATIONS_TABLE = Table(
     "stations.csv",
     "places of the tripods",
     (
@@ -17,19 +17,19 @@ STATIONS = Table(
         *numbers(visible_reflectors="number of visible reflectors"),
     ),
 )
-REFLECTORS = Table(
+REFLECTORS_TABLE = Table(
     "reflectors.csv",
     "reflectors with their expected uncertainty",
     (
         *texts(target="name"),
-        *PLACE,
+        *PLACE_COLUMNS,
         *numbers(sigma_um="expected, of the point"),
         *numbers(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
         *numbers(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
         *texts(visible_from="stations from which it is visible"),
     ),
 )
-PARAMETERS = Table(
+PARAMETERS_TABLE = Table(
     "parameters.csv",
     "instrument parameters with their expected uncertainty",
     (
@@ -38,7 +38,7 @@ PARAMETERS = Table(
         *numbers(gain="fraction of the prior variance that the data remove"),
     ),
 )
-VISIBILITY = Table(
+VISIBILITY_TABLE = Table(
     "visibility.csv",
     "sights between stations and targets",
     (
@@ -46,12 +46,12 @@ VISIBILITY = Table(
         *numbers(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
     ),
 )
-NOMINALS = Table(
+NOMINALS_TABLE = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
-    (*texts(name="of the point"), *PLACE),
+    (*texts(name="of the point"), *PLACE_COLUMNS),
 )
-WORK = Table(
+WORK_ORDER_TABLE = Table(
     "work-order.csv",
     "every pointing in the order of the work, with the expected readings",
     (
@@ -61,7 +61,7 @@ WORK = Table(
         *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
-SETUPS = Table(
+SETUPS_TABLE = Table(
     "setups.csv",
     "tape measurements to the places of the tripods",
     (
@@ -74,18 +74,18 @@ SETUPS = Table(
         Column("height_m", "height of the centre of the head above the floor", shown=".2f", title="head over floor"),
     ),
 )
-TRADEOFF = Table(
+TRADEOFF_TABLE = Table(
     "tradeoff.csv",
     "ways of working, each with its best layout",
     (
-        *columns_of(OptionEntry, "stations faces repeats pointings hours"),
-        *columns_of(OptionEntry, "value", value={"title": "objective"}),
+        *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
+        *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
         Column("value_um", "objective, if it is only the error of the targets", title="objective"),
-        *columns_of(OptionEntry, "efficient", efficient={"title": "best layout in its time"}),
+        *columns_of(TradeoffEntry, "efficient", efficient={"title": "best layout in its time"}),
     ),
 )
-EFFECTS = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
-TOLERANCES = Table(
+EFFECTS_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
+TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
     (
@@ -95,7 +95,7 @@ TOLERANCES = Table(
         *flags(met="the tolerance is met"),
     ),
 )
-LOSSES = Table(
+LOSSES_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
     (
@@ -108,7 +108,7 @@ LOSSES = Table(
         ),
     ),
 )
-CHANGES = Table(
+CHANGES_TABLE = Table(
     "changes.csv",
     "reflectors to move, add or remove",
     (
@@ -120,7 +120,7 @@ CHANGES = Table(
         *numbers("r", "+.1f", sigma_percent="change of its standard deviation"),
     ),
 )
-EXPECTED = Table(
+EXPECTED_TABLE = Table(
     "expected.csv",
     "the paper's criteria, expected",
     (
@@ -128,33 +128,34 @@ EXPECTED = Table(
         *numbers("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
     ),
 )
-CONFUSABLE = Table(
+CONFUSABLE_TABLE = Table(
     "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
 )
-TABLES = (
-    NOMINALS, WORK, STATIONS, REFLECTORS, TOLERANCES, LOSSES, TRADEOFF, PARAMETERS, EXPECTED, CHANGES, EFFECTS,
-    CONFUSABLE, VISIBILITY,
+PLAN_TABLES = (
+    NOMINALS_TABLE, WORK_ORDER_TABLE, STATIONS_TABLE, REFLECTORS_TABLE, TOLERANCES_TABLE, LOSSES_TABLE,
+    TRADEOFF_TABLE, PARAMETERS_TABLE, EXPECTED_TABLE, CHANGES_TABLE, EFFECTS_TABLE,
+    CONFUSABLE_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
 """Tables that are written with plan.json."""
 
 
-def visibility_table(layout: LayoutEvaluation) -> Table:
+def make_visibility_table(layout: LayoutEvaluation) -> Table:
     """Table `visibility.csv`: every pair of station and target."""
-    words, table, survey = layout.table.words(), layout.table, layout.survey
-    return VISIBILITY.filled(
+    words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
+    return VISIBILITY_TABLE.filled(
         [
-            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
-            round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
+            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.ranges[s, t]) * 1e3, 1),
+            round(float(table.elevations[s, t]) / DEGREE, 2), round(float(table.incidence_angles[s, t]) / DEGREE, 2),
         ]
         for s, station in enumerate(survey.station_names)
         for t, target in enumerate(survey.target_names)
     )  # fmt: skip
 
 
-def work_table(plan: PlannedNetwork) -> Table:
+def make_work_order_table(plan: PlannedNetwork) -> Table:
     """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
-    recording = plan.chosen.survey.recording(plan.chosen.information.construction)
-    return WORK.filled(
+    recording = plan.layout.survey.noise_free_recording(plan.layout.information.construction)
+    return WORK_ORDER_TABLE.filled(
         [
             i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
             int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),

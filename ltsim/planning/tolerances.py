@@ -14,22 +14,24 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.site import BrokenRule, words_of
+from ltsim.planning.site import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.survey import Survey
+from ltsim.planning.survey import PlannedSurvey
 
 DEFAULT_TOLERANCE_FACTOR = 10.0
 """Factor on the widest tolerance that gives the tolerance of points without one in the objective."""
-MIN_WEIGHT = 1e-6
-MAX_NAMED = 5
-SIGHT = "the sight"
+MIN_POINT_WEIGHT = 1e-6
+"""Smallest weight of a point in the objective."""
+MAX_LISTED_POINTS = 5
+"""Largest number of points that a sentence lists."""
+LOST_SIGHT_PREFIX = "the sight"
 """First words of the name of a lost sight."""
-UNDETERMINED = "the network no longer determines its points"
+UNDETERMINED_TEXT = "the network no longer determines its points"
 """Text for a network with undetermined motions."""
 
 
 def is_met(ratio: float) -> bool:
-    """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
+    """True if an error meets its tolerance; `max_ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
 
@@ -39,27 +41,27 @@ def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 
-def percent(ratio: float) -> str:
+def percent_text(ratio: float) -> str:
     """Ratio of error to tolerance as text: `100.4 %` for one that is 0.4 % too large."""
     return f"{text_near_limit(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
-class Tolerances:
+class PointTolerances:
     """Tolerances of points, their confidence level, and the loss after which they must be met."""
 
-    tolerance: Mapping[str, float]
+    tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
-    level: float = 0.95
+    confidence_level: float = 0.95
     """Confidence level: fraction of cases in which a point must be within its tolerance."""
-    robust: str = "no"
+    withstood_loss: str = "no"
     """Loss after which all tolerances must still be met: `sight` or `station`; `no` for none."""
 
     @classmethod
-    def of(cls, file: PlanFile) -> Tolerances:
+    def from_plan_file(cls, file: PlanFile) -> PointTolerances:
         """Tolerances of a plan file: that of the point, else the smallest one of its group or of all points."""
         limits = {}
-        for point in file.listed:
+        for point in file.listed_points:
             named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
             limit = point.tolerance_mm if point.tolerance_mm is not None else min(named, default=None)
             if limit is not None:
@@ -67,20 +69,26 @@ class Tolerances:
         return cls(limits, file.goal.level_pct / 100.0, file.goal.robust)
 
     def __bool__(self) -> bool:
-        return bool(self.tolerance)
+        return bool(self.tolerance_by_point)
 
 
-def importance(file: PlanFile) -> dict[str, float]:
+def point_weights(file: PlanFile) -> dict[str, float]:
     """Weights of a plan's points, divided by the squares of their tolerances."""
-    demands = Tolerances.of(file)
+    demands = PointTolerances.from_plan_file(file)
     if not demands:
-        return {p.name: max(p.weight, MIN_WEIGHT) for p in file.listed if p.weight != 1.0}
-    tight, wide = min(demands.tolerance.values()), DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance.values())
-    return {p.name: max(p.weight * (tight / demands.tolerance.get(p.name, wide)) ** 2, MIN_WEIGHT) for p in file.listed}
+        return {p.name: max(p.weight, MIN_POINT_WEIGHT) for p in file.listed_points if p.weight != 1.0}
+    tight, wide = (
+        min(demands.tolerance_by_point.values()),
+        DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance_by_point.values()),
+    )
+    return {
+        p.name: max(p.weight * (tight / demands.tolerance_by_point.get(p.name, wide)) ** 2, MIN_POINT_WEIGHT)
+        for p in file.listed_points
+    }
 
 
-def radius(covariance: Floats, level: float) -> Floats:
-    """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `level`.
+def error_radius(covariance: Floats, level: float) -> Floats:
+    """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `confidence_level`.
 
     The squared length of a normal error is a weighted sum of chi-squares; its quantile is that of the scaled chi-square
     with the same mean and variance (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114), which is exact for errors
@@ -96,125 +104,156 @@ def radius(covariance: Floats, level: float) -> Floats:
 class ToleranceCheck:
     """Check of a layout against its tolerances, complete or after a loss."""
 
-    lost: str
+    lost_text: str
     """Text of the lost station or sight; empty for the complete layout."""
-    tolerance: Mapping[str, float]
+    tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
-    radius: Mapping[str, float]
+    error_by_point: Mapping[str, float]
     """Error [m] at the confidence level of each determined point with a tolerance."""
-    ratio: float
+    max_ratio: float
     """Largest ratio of radius to tolerance; infinite if a point is undetermined."""
-    worst: str
+    worst_point_name: str
     """Point with the largest ratio."""
-    unseen: tuple[str, ...] = ()
+    unseen_points: tuple[str, ...] = ()
     """Points with a tolerance that no station sees."""
 
     @property
-    def good(self) -> bool:
+    def meets_all(self) -> bool:
         """True if all tolerances are met."""
-        return is_met(self.ratio)
+        return is_met(self.max_ratio)
 
     @property
-    def of_sight(self) -> bool:
+    def is_sight_loss(self) -> bool:
         """True if the loss is a sight and not a station."""
-        return self.lost.startswith(SIGHT)
+        return self.lost_text.startswith(LOST_SIGHT_PREFIX)
 
     @property
-    def over(self) -> list[str]:
+    def exceeding_points(self) -> list[str]:
         """Determined points whose errors exceed their tolerances."""
-        return [name for name in self.radius if not is_met(self.used(name))]
+        return [name for name in self.error_by_point if not is_met(self.tolerance_ratio(name))]
 
-    def used(self, name: str) -> float:
+    def tolerance_ratio(self, name: str) -> float:
         """Ratio of a point's error to its tolerance."""
-        return self.radius[name] / self.tolerance[name]
+        return self.error_by_point[name] / self.tolerance_by_point[name]
 
     @property
-    def worst_words(self) -> str:
+    def worst_point_numbers(self) -> str:
         """Text of the worst point with its numbers."""
-        return self.numbers(self.worst) if self.worst in self.radius else self.worst
+        return (
+            self.point_text(self.worst_point_name)
+            if self.worst_point_name in self.error_by_point
+            else self.worst_point_name
+        )
 
     @property
-    def worst_point(self) -> str:
+    def worst_point_text(self) -> str:
         """Text of the worst point with its margin or excess; empty for none."""
-        excess = 100 * (self.ratio - 1)
-        margin = f"margin {-excess:.0f} %" if self.good else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
+        excess = 100 * (self.max_ratio - 1)
+        margin = (
+            f"margin {-excess:.0f} %" if self.meets_all else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
+        )
         margin = margin if np.isfinite(excess) else "not visible from any station"
-        return f"worst point {self.worst_words} ({margin})" if self.radius else UNDETERMINED
+        return f"worst point {self.worst_point_numbers} ({margin})" if self.error_by_point else UNDETERMINED_TEXT
 
     @property
-    def remaining(self) -> str:
+    def open_points_clause(self) -> str:
         """Clause on the points that are not visible or exceed their tolerances."""
-        if self.good:
-            return f"all tolerances are met, worst point {self.worst_words}"
-        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MAX_NAMED)
-        parts = [f"{named} {verb} not visible from any station"] if self.unseen else []
-        if not self.radius:
-            parts.append(UNDETERMINED)
-        if self.over:
-            worst, many = max(self.over, key=self.used), len(self.over) > 1
-            points = f"{len(self.over)} points exceed their tolerances" if many else "1 point exceeds its tolerance"
-            parts.append(f"{points} ({'worst ' if many else ''}{self.numbers(worst)})")
+        if self.meets_all:
+            return f"all tolerances are met, worst point {self.worst_point_numbers}"
+        verb, named = "is" if len(self.unseen_points) == 1 else "are", listing(self.unseen_points, MAX_LISTED_POINTS)
+        parts = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
+        if not self.error_by_point:
+            parts.append(UNDETERMINED_TEXT)
+        if self.exceeding_points:
+            worst, many = max(self.exceeding_points, key=self.tolerance_ratio), len(self.exceeding_points) > 1
+            points = (
+                f"{len(self.exceeding_points)} points exceed their tolerances"
+                if many
+                else "1 point exceeds its tolerance"
+            )
+            parts.append(f"{points} ({'worst ' if many else ''}{self.point_text(worst)})")
         return ", ".join(parts)
 
-    def numbers(self, name: str) -> str:
+    def point_text(self, name: str) -> str:
         """Text of a point with its error and its tolerance."""
-        error, tolerance = self.radius[name] / MILLIMETRE, self.tolerance[name] / MILLIMETRE
+        error, tolerance = self.error_by_point[name] / MILLIMETRE, self.tolerance_by_point[name] / MILLIMETRE
         return f"{name}: {text_near_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
-def judged(survey: Survey, demands: Tolerances, built: Construction, lost: str = "") -> ToleranceCheck:
+def check_tolerances(
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, lost_text: str = ""
+) -> ToleranceCheck:
     """Check of a survey; points that no station sees are removed from the network and reported."""
-    visible: Bools = np.asarray(survey.visible.any(axis=0))
-    unseen = tuple(n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in demands.tolerance)
+    visible: Bools = np.asarray(survey.is_visible.any(axis=0))
+    unseen = tuple(
+        n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in tolerances.tolerance_by_point
+    )
     try:
         if not visible.any():
             raise NetworkError("no station sees a target")
-        information = LayoutInformation.of(survey.only(visible), built)
+        information = LayoutInformation.from_survey(survey.with_targets_only(visible), construction)
     except NetworkError:
-        return ToleranceCheck(lost, demands.tolerance, {}, np.inf, "", unseen)
+        return ToleranceCheck(lost_text, tolerances.tolerance_by_point, {}, np.inf, "", unseen)
     names = information.survey.target_names
-    every = dict(zip(names, radius(information.target_covariance, demands.level).tolist(), strict=True))
-    radii = {name: every[name] for name in demands.tolerance if name in every}
-    ratios = {name: value / demands.tolerance[name] for name, value in radii.items()}
+    every = dict(
+        zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
+    )
+    radii = {name: every[name] for name in tolerances.tolerance_by_point if name in every}
+    ratios = {name: value / tolerances.tolerance_by_point[name] for name, value in radii.items()}
     worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
-        lost, demands.tolerance, radii, np.inf if unseen or not ratios else ratios[worst], worst, unseen
+        lost_text,
+        tolerances.tolerance_by_point,
+        radii,
+        np.inf if unseen or not ratios else ratios[worst],
+        worst,
+        unseen,
     )
 
 
-def after_losses(survey: Survey, demands: Tolerances, built: Construction, kind: str) -> Iterator[ToleranceCheck]:
+def checks_after_losses(
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, loss_kind: str
+) -> Iterator[ToleranceCheck]:
     """Checks of a survey without each station (`station`), or without each sight of a point (`sight`)."""
-    if kind == "station":
+    if loss_kind == "station":
         for s, name in enumerate(survey.station_names):
-            yield judged(survey.without(s), demands, built, name)
+            yield check_tolerances(survey.without_station(s), tolerances, construction, name)
         return
-    for s, t in np.argwhere(survey.visible).tolist():
+    for s, t in np.argwhere(survey.is_visible).tolist():
         # A sight of a point without a tolerance is one of many that hold the network.
-        if survey.target_names[t] in demands.tolerance:
-            visible = survey.visible.copy()
+        if survey.target_names[t] in tolerances.tolerance_by_point:
+            visible = survey.is_visible.copy()
             visible[s, t] = False
-            name = f"{SIGHT} from {survey.station_names[s]} to {survey.target_names[t]}"
-            yield judged(survey.replace(visible=visible), demands, built, name)
+            name = f"{LOST_SIGHT_PREFIX} from {survey.station_names[s]} to {survey.target_names[t]}"
+            yield check_tolerances(survey.replace(is_visible=visible), tolerances, construction, name)
 
 
-def every_loss(survey: Survey, demands: Tolerances, built: Construction) -> tuple[ToleranceCheck, ...]:
+def checks_after_every_loss(
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+) -> tuple[ToleranceCheck, ...]:
     """Checks of a survey without each station, then without each sight of a point with a tolerance."""
-    kinds = ("station", "sight") if demands else ()
-    return tuple(check for kind in kinds for check in after_losses(survey, demands, built, kind))
+    kinds = ("station", "sight") if tolerances else ()
+    return tuple(check for kind in kinds for check in checks_after_losses(survey, tolerances, construction, kind))
 
 
-def losses_of(survey: Survey, demands: Tolerances, built: Construction) -> list[ToleranceCheck]:
+def checks_after_required_losses(
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+) -> list[ToleranceCheck]:
     """Checks without each station, and without each sight if tolerances must withstand that, for a verdict."""
-    kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
-    return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
+    kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
+    return [loss for kind in kinds for loss in checks_after_losses(survey, tolerances, construction, kind)]
 
 
-def is_feasible(survey: Survey, demands: Tolerances, built: Construction) -> tuple[bool, float]:
+def feasibility_and_ratio(
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+) -> tuple[bool, float]:
     """Flag that a survey meets its tolerances (after any single loss if required), and the largest ratio."""
-    whole = judged(survey, demands, built)
-    if not whole.good or demands.robust == "no":
-        return whole.good, whole.ratio
-    worst = max(loss.ratio for loss in after_losses(survey, demands, built, demands.robust))
+    whole = check_tolerances(survey, tolerances, construction)
+    if not whole.meets_all or tolerances.withstood_loss == "no":
+        return whole.meets_all, whole.max_ratio
+    worst = max(
+        loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
+    )
     return is_met(worst), worst
 
 
@@ -222,38 +261,52 @@ def is_feasible(survey: Survey, demands: Tolerances, built: Construction) -> tup
 class PlanVerdict:
     """Verdict on a layout by the rules and tolerances of its plan, common to search, moves, planner and page."""
 
-    reached: bool
+    is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""
-    words: str
+    sentences: str
     """Sentences of the verdict, without the last full stop."""
 
 
-def verdict(
-    demands: Tolerances, check: ToleranceCheck, losses: Sequence[ToleranceCheck], broken: Sequence[BrokenRule] = ()
+def plan_verdict(
+    tolerances: PointTolerances,
+    tolerance_check: ToleranceCheck,
+    loss_checks: Sequence[ToleranceCheck],
+    broken_rules: Sequence[BrokenRule] = (),
 ) -> PlanVerdict:
     """Verdict from broken rules, the worst point with its margin, and the worst check after the loss of a station."""
-    asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
-    reached = not broken and check.good and all(loss.good for loss in asked)
-    count = len(demands.tolerance)
-    number = f"all {count}" if check.good else f"{len(check.radius) - len(check.over)} of {count}"
-    words = f"{number} tolerances are met at {100 * demands.level:g} % confidence; {check.worst_point}"
-    worst = max((loss for loss in losses if not loss.of_sight), key=lambda loss: loss.ratio, default=None)
+    asked = [
+        loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
+    ]
+    reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
+    count = len(tolerances.tolerance_by_point)
+    number = (
+        f"all {count}"
+        if tolerance_check.meets_all
+        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {count}"
+    )
+    words = (
+        f"{number} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
+        f"{tolerance_check.worst_point_text}"
+    )
+    worst = max((loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None)
     if worst is not None:
-        lost = "without any one station all are met" if worst.good else f"without {worst.lost} they are not met"
-        words += f". {lost[0].upper()}{lost[1:]}; {worst.worst_point}"
-    rules = f"the layout breaks a rule ({words_of(broken)}). " if broken else ""
-    words = words[0].upper() + words[1:] if broken else words
+        lost = (
+            "without any one station all are met" if worst.meets_all else f"without {worst.lost_text} they are not met"
+        )
+        words += f". {lost[0].upper()}{lost[1:]}; {worst.worst_point_text}"
+    rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
+    words = words[0].upper() + words[1:] if broken_rules else words
     return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
 
 
-def loss_sentences(losses: Sequence[ToleranceCheck]) -> list[str]:
+def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
     """Sentences on the tolerances after the loss of a station or a sight."""
-    texts = [f"Without {loss.lost}: {loss.remaining}." for loss in losses if not loss.of_sight]
-    sights = [loss for loss in losses if loss.of_sight]
-    broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)
+    texts = [f"Without {loss.lost_text}: {loss.open_points_clause}." for loss in loss_checks if not loss.is_sight_loss]
+    sights = [loss for loss in loss_checks if loss.is_sight_loss]
+    broken = sorted((loss for loss in sights if not loss.meets_all), key=lambda loss: -loss.max_ratio)
     if broken:
         number = f"{len(broken)} of {len(sights)} sights"
-        texts.append(f"{number} are critical; without {broken[0].lost}: {broken[0].remaining}.")
+        texts.append(f"{number} are critical; without {broken[0].lost_text}: {broken[0].open_points_clause}.")
     elif sights:
         texts.append(
             f"Any single one of the {len(sights)} sights of these points may be blocked; all tolerances are still met."

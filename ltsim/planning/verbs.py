@@ -6,23 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as ranked, quiet
-from ltsim.core.arguments import MOVE_FORM, check_bounds, check_mapping
+from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
+from ltsim.core.arguments import MOVE_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.signature import Signature
-from ltsim.planning.making import Follower, make_plan
-from ltsim.planning.planner import PlannedNetwork, judge
+from ltsim.planning.making import SearchCallbacks, make_plan
+from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
-from ltsim.planning.result import Plan, opened
-from ltsim.planning.site import SearchSpace, words_of
+from ltsim.planning.result import Plan, load_plan_and_scenario
+from ltsim.planning.site import SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
-from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Tolerances, judged, losses_of, verdict
-from ltsim.planning.workshop import as_it_stands
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
+from ltsim.planning.workshop import unsearched_plan
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
@@ -38,8 +38,8 @@ def plan(
     starts: int | None = None,
     seed: int | None = None,
     jobs: int = 1,
-    progress: Progress = quiet,
-    follower: Follower | None = None,
+    progress: ProgressCallback = no_progress,
+    callbacks: SearchCallbacks | None = None,
     move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
     """Layout of stations and reflectors, with reasons and the curve of cost against quality.
@@ -56,7 +56,7 @@ def plan(
         Processes; the plan does not depend on it.
     progress : callable
         Told what is done and the share of it.
-    follower : Follower, optional
+    callbacks : Follower, optional
         In place of `progress`: also hears how long it may take, and is given the best layout so far.
     move : mapping, optional
         Nothing is searched: the layout as it stands, with these stations at other places: x, y, z in mm and yaw in
@@ -76,12 +76,12 @@ def plan(
     """
     check_bounds(starts=starts, seed=seed, jobs=jobs, required="jobs")
     check_mapping("move", move)
-    file, scenario = opened(source)
+    file, scenario = load_plan_and_scenario(source)
     if move is not None:
-        return Plan.of(_moved(file, scenario, move))
+        return Plan.from_network(_plan_with_moved_stations(file, scenario, move))
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
-    return Plan.of(make_plan(file, scenario, jobs=jobs, follower=follower or Follower(progress)))
+    return Plan.from_network(make_plan(file, scenario, jobs=jobs, callbacks=callbacks or SearchCallbacks(progress)))
 
 
 def next_measurement(
@@ -90,7 +90,7 @@ def next_measurement(
     between: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
-    progress: Progress = quiet,
+    progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
     """Ranking of additional measurements after a recording.
 
@@ -121,31 +121,31 @@ def next_measurement(
     >>> proposals.proposals[0].sharper < 1
     True
     """
-    measured = recording_of(recording)
+    measured = load_recording(recording)
     made = ranked(
-        measured, between=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
+        measured, explanations=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
     )
-    return NextMeasurement.of(made, SourceEntry.of(measured))
+    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured))
 
 
 @dataclass(frozen=True)
-class Alternative:
+class StationAlternative:
     """Alternative to a station: another position with all others unchanged, or the layout without it."""
 
-    words: str
+    position_text: str
     """Text of the position of the station."""
-    survey: Survey
+    survey: PlannedSurvey
     verdict: str
     """Sentence on the layout."""
-    worth: float
+    max_error_ratio: float
     """Largest ratio of error to tolerance, after relevant losses too; without tolerances the largest sigma [m]."""
-    good: bool
+    meets_goal: bool
     """True if no rule is broken and the goal (if there are tolerances) is reached."""
-    move: str = ""
+    move_option: str = ""
     """Value of `--move` that evaluates it; empty for the layout without the station."""
 
 
-def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]:
+def station_alternatives(source: str | Path, station: str) -> tuple[StationAlternative, ...]:
     """Alternatives to a station: the layout without it, then with it at the best other positions.
 
     Parameters
@@ -160,60 +160,65 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     SetupError
         When there is no such station, or no place for it.
     """
-    named, scenario = opened(source)
-    file, site = as_it_stands(named, scenario)
+    named, scenario = load_plan_and_scenario(source)
+    file, site = unsearched_plan(named, scenario)
     problem, survey = PlanningProblem(file, scenario), site.survey
-    slot = _index(survey, station)
-    others = [s for s in range(len(survey.position)) if s != slot]
-    work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), min_sights=0))
-    table = work.table(slot)
-    values = work.replacements(work.layout(survey.position, survey.yaw), slot, table)
-    values[_gap(table.position, survey.position[slot]) < MIN_ALTERNATIVE_DISTANCE] = np.inf
+    slot = _station_index(survey, station)
+    others = [s for s in range(len(survey.station_positions)) if s != slot]
+    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(others), min_sights=0))
+    table = work.grid_setups(slot)
+    values = work.replacement_objectives(work.layout_blocks(survey.station_positions, survey.station_yaws), slot, table)
+    values[_distances(table.setup_positions, survey.station_positions[slot]) < MIN_ALTERNATIVE_DISTANCE] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
-    demanded = Tolerances.of(file).tolerance or survey.target_names
+    demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
-    lacking = np.maximum(site.min_sights - survey.visible[others].sum(axis=0) - table.visible, 0)[:, asked].sum(axis=1)
-    alternatives: list[Alternative] = []
+    lacking = np.maximum(site.min_sights - survey.is_visible[others].sum(axis=0) - table.is_visible, 0)[:, asked].sum(
+        axis=1
+    )
+    alternatives: list[StationAlternative] = []
     for best in np.lexsort((values, lacking)).tolist():
         near = [
-            _gap(table.position[[best]], option_.survey.position[slot])[0] < MIN_ALTERNATIVE_DISTANCE
+            _distances(table.setup_positions[[best]], option_.survey.station_positions[slot])[0]
+            < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
         if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
             continue
-        position, yaw = survey.position.copy(), survey.yaw.copy()
-        position[slot], yaw[slot] = table.position[best], table.yaw[best]
-        there = survey.replace(position=position, yaw=yaw, visible=site.visible(position))
-        words = f"{_at(station, position[slot])}, turned by {yaw[slot] / DEGREE:.0f} deg"
+        position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
+        position[slot], yaw[slot] = table.setup_positions[best], table.setup_yaws[best]
+        there = survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))
+        words = f"{_survey_with_station_at(station, position[slot])}, turned by {yaw[slot] / DEGREE:.0f} deg"
         x, y, z = position[slot] / MILLIMETRE
         move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw[slot] / DEGREE:g}"
-        alternatives.append(_alternative(problem, site, there, words, move))
-    alone = _alternative(problem, site, survey.without(slot), f"without {station}")
-    return (alone, *sorted(alternatives, key=lambda option_: (not option_.good, option_.worth)))
+        alternatives.append(_evaluate_alternative(problem, site, there, words, move))
+    alone = _evaluate_alternative(problem, site, survey.without_station(slot), f"without {station}")
+    return (alone, *sorted(alternatives, key=lambda option_: (not option_.meets_goal, option_.max_error_ratio)))
 
 
-def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> PlannedNetwork:
+def _plan_with_moved_stations(
+    named: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
+) -> PlannedNetwork:
     """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
 
     The last ones may be missing.
 
     Raises SetupError for a position where no tripod may stand.
     """
-    file, site = as_it_stands(named, scenario)
+    file, site = unsearched_plan(named, scenario)
     survey = site.survey
-    position, yaw = survey.position.copy(), survey.yaw.copy()
-    for name, given in to.items():
-        slot, place = _index(survey, name), _place_of(name, given)
+    position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
+    for name, given in new_positions.items():
+        slot, place = _station_index(survey, name), _position_numbers(name, given)
         position[slot, : len(place[:3])] = place[:3] * MILLIMETRE
         yaw[slot] = place[3] * DEGREE if len(place) == 4 else yaw[slot]
-    survey = survey.replace(position=position, yaw=yaw)
-    wrong = [rule for rule in site.broken_places(survey) if {*rule.stations} & {*to}]
+    survey = survey.replace(station_positions=position, station_yaws=yaw)
+    wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
-        raise SetupError(f"{option('move')}: {words_of(wrong)}")
-    return judge(file, scenario, survey.replace(visible=site.visible(position)))
+        raise SetupError(f"{option('move')}: {broken_rules_text(wrong)}")
+    return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
 
 
-def _place_of(name: str, given: object) -> Floats:
+def _position_numbers(name: str, given: object) -> Floats:
     """Numbers (2 to 4) of a new position; raises SetupError."""
     words = np.ravel(np.asarray(given, dtype=object)).tolist()
     try:
@@ -221,41 +226,45 @@ def _place_of(name: str, given: object) -> Floats:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
-        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_FORM}")
+        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_SYNTAX}")
     return place
 
 
-def _at(station: str, place: Floats) -> str:
+def _survey_with_station_at(station: str, place: Floats) -> str:
     x, y, z = place
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
 
 
-def _gap(places: Floats, place: Floats) -> Floats:
+def _distances(places: Floats, place: Floats) -> Floats:
     return np.linalg.norm(places[:, :2] - place[:2], axis=1)
 
 
-def _index(survey: Survey, name: str) -> int:
+def _station_index(survey: PlannedSurvey, name: str) -> int:
     if name not in survey.station_names:
         raise SetupError(str(unknown_name("station", name, survey.station_names)))
     return survey.station_names.index(name)
 
 
-def _alternative(
-    problem: PlanningProblem, site: SearchSpace, survey: Survey, words: str, move: str = ""
-) -> Alternative:
+def _evaluate_alternative(
+    problem: PlanningProblem, site: SearchSpace, survey: PlannedSurvey, words: str, move: str = ""
+) -> StationAlternative:
     """Alternative layout, evaluated by the rules and tolerances, or by its worst point if there are none."""
-    demands, built, broken = Tolerances.of(problem.file), problem.built, site.broken_rules(survey)
+    demands, built, broken = (
+        PointTolerances.from_plan_file(problem.file),
+        problem.construction,
+        site.broken_rules(survey),
+    )
     if demands:
-        check = judged(survey, demands, built)
-        losses = losses_of(survey, demands, built)
-        ratio = max([check.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
-        judgement = verdict(demands, check, losses, broken)
-        return Alternative(words, survey, judgement.words, ratio, judgement.reached, move)
-    check = judged(survey, Tolerances(dict.fromkeys(survey.target_names, np.inf)), built)
-    rules = f"it breaks a rule ({words_of(broken)}); " if broken else ""
-    if not check.radius or check.unseen:
-        return Alternative(words, survey, rules + check.remaining, np.inf, False, move)
-    worst = max(check.radius, key=lambda name: check.radius[name])
-    size = check.radius[worst]
+        check = check_tolerances(survey, demands, built)
+        losses = checks_after_required_losses(survey, demands, built)
+        ratio = max([check.max_ratio, *([loss.max_ratio for loss in losses] if demands.withstood_loss != "no" else [])])
+        judgement = plan_verdict(demands, check, losses, broken)
+        return StationAlternative(words, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)
+    check = check_tolerances(survey, PointTolerances(dict.fromkeys(survey.target_names, np.inf)), built)
+    rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
+    if not check.error_by_point or check.unseen_points:
+        return StationAlternative(words, survey, rules + check.open_points_clause, np.inf, False, move)
+    worst = max(check.error_by_point, key=lambda name: check.error_by_point[name])
+    size = check.error_by_point[worst]
     text = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
-    return Alternative(words, survey, text, size, not broken, move)
+    return StationAlternative(words, survey, text, size, not broken, move)

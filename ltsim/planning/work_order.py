@@ -15,25 +15,27 @@ from ltsim.planning.planner import PlannedNetwork
 
 MAX_PLUMB_HEIGHT = 2.2
 """Largest height [m] from which a point can be plumbed to the floor."""
-MAX_TAPE = 15.0
+MAX_TAPE_DISTANCE = 15.0
 """Longest distance [m] for a tape or a distance meter."""
-MAX_MARKS = 16
+MAX_CONSIDERED_MARKS = 16
 """Largest number of marks that are considered for a station."""
-MIN_STRAIGHT_GAIN = 0.1
+MIN_SLOPE_FIRMNESS_GAIN = 0.1
 """Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
-TAPE_RESOLUTION, MAX_AMBIGUITY, MIN_MISCLOSURE = 0.01, 0.03, 0.1
-"""Resolution of a tape, largest ambiguity of the position from three distances, and smallest misclosure at any other
-position [m].
-"""
-MIN_TAPE = 0.3
+TAPE_RESOLUTION = 0.01
+"""Resolution [m] of a tape."""
+MAX_POSITION_AMBIGUITY = 0.03
+"""Largest ambiguity [m] of the position from three distances."""
+MIN_TAPE_MISCLOSURE = 0.1
+"""Smallest misclosure [m] of three distances at any other position."""
+MIN_TAPE_DISTANCE = 0.3
 """Shortest useful distance [m]."""
-TAPE_HEIGHT = 0.1
+FREE_TAPE_HEIGHT = 0.1
 """Height [m] above the floor at which the tape must pass freely."""
-MIN_GAIN_PER_METRE = 0.03
+MIN_FIRMNESS_GAIN_PER_METRE = 0.03
 """Smallest gain in firmness of three distances per additional metre of tape."""
-MOVED_SIGMAS = 3.0
+MIN_MOVED_SIGMAS = 3.0
 """Number of standard deviations beyond which a repeated point counts as moved."""
-REPEATED_POINTS = 3
+N_REPEATED_POINTS = 3
 """Number of points that are measured again at the end of a station."""
 
 
@@ -41,78 +43,78 @@ REPEATED_POINTS = 3
 class TapeDistance:
     """Distance along the floor from below the head to below a point, or straight from the head to a reflector."""
 
-    to: str
-    place: Floats
+    end_name: str
+    end_point: Floats
     """Coordinates of the point, (3,) [m]."""
-    metres: float
-    floor: bool
+    length: float
+    is_along_floor: bool
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Text of the distance and its end point."""
-        return f"{self.metres:.2f} m to {self.to}{'' if self.floor else ' (straight)'}"
+        return f"{self.length:.2f} m to {self.end_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
-    def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
+    def from_station(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
         """Tape distance from an instrument at `station` (3,) [m]."""
         gap = place - station
         return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)
-class StationSetup:
+class StationInstruction:
     """Station in the work order."""
 
     name: str
-    height: float
+    head_height: float
     """Height [m] of the head's centre above the floor."""
-    tapes: tuple[TapeDistance, ...]
-    """Three distances, which determine one position unless `lacking` says otherwise."""
-    lacking: str
+    tape_distances: tuple[TapeDistance, ...]
+    """Three distances, which determine one position unless `deficiency_sentence` says otherwise."""
+    deficiency_sentence: str
     """Sentence on the deficiency of the distances; empty if they determine the position."""
-    towards: str
+    zero_direction_text: str
     """Text of the direction of azimuth zero."""
-    order: tuple[str, ...]
+    target_order: tuple[str, ...]
     """Targets in the order of their first pointing."""
-    again: dict[str, float]
+    repeated_targets: dict[str, float]
     """Targets to be measured again at the end, with their largest permitted deviation [m]."""
     minutes: float
     """Duration of the pointings [min]."""
 
 
-def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
+def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]:
     """Stations of a plan in the order of measurement."""
-    survey, built = plan.chosen.survey, plan.chosen.information.construction
-    recording = survey.recording(built)
-    sightings = sightings_of(recording, survey.state(built))
-    sigma = survey.noise(sightings) * survey.used
+    survey, built = plan.layout.survey, plan.layout.information.construction
+    recording = survey.noise_free_recording(built)
+    sightings = sightings_of(recording, survey.nominal_state(built))
+    sigma = survey.nominal_noise(sightings) * survey.used_observables
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
     settings = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
         at = survey.station_names.index(name)
-        place, visible = survey.position[at], survey.visible[at]
+        place, visible = survey.station_positions[at], survey.is_visible[at]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
-        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, REPEATED_POINTS).round().astype(int))]
-        limit = {t: MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
-        tapes = _tapes(_marks(plan, place, visible), place)
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, N_REPEATED_POINTS).round().astype(int))]
+        limit = {t: MIN_MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        tapes = _best_tape_distances(_tape_marks(plan, place, visible), place)
         settings.append(
-            StationSetup(
+            StationInstruction(
                 name=name,
-                height=float(place[2]),
-                tapes=tapes,
-                lacking=lacking(tapes, place),
-                towards=_towards(plan, place, float(survey.yaw[at]), visible),
-                order=tuple(recording.targets[t] for t in order),
-                again={recording.targets[t]: value for t, value in limit.items()},
+                head_height=float(place[2]),
+                tape_distances=tapes,
+                deficiency_sentence=tape_deficiency_sentence(tapes, place),
+                zero_direction_text=_zero_direction_text(plan, place, float(survey.station_yaws[at]), visible),
+                target_order=tuple(recording.targets[t] for t in order),
+                repeated_targets={recording.targets[t]: value for t, value in limit.items()},
                 minutes=len(rows) * survey.seconds_per_pointing / 60.0,
             )
         )
     return tuple(settings)
 
 
-def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
+def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
     """Marks for tape distances to a station, in order of preference.
 
     They are first those within reach of a tape, then along the floor, then the nearest.
@@ -120,73 +122,75 @@ def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDist
     Distances along the floor lead to points that can be plumbed and to corners of the room, if the path is free; others
     lead straight to visible reflectors.
     """
-    survey, obstacles = plan.chosen.survey, plan.site.obstacles
-    targets = list(zip(survey.target_names, survey.points, strict=True))
+    survey, obstacles = plan.layout.survey, plan.search_space.obstacles
+    targets = list(zip(survey.target_names, survey.target_points, strict=True))
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
     plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
-    level = [TapeDistance.of(name, point, place, floor=True) for name, point in plumbed]
+    level = [TapeDistance.from_station(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
-        ends = np.array([[*mark.place[:2], TAPE_HEIGHT] for mark in level])
-        blocked = obstacles.blocked(np.tile([*place[:2], TAPE_HEIGHT], (len(ends), 1)), ends)
+        ends = np.array([[*mark.end_point[:2], FREE_TAPE_HEIGHT] for mark in level])
+        blocked = obstacles.is_blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
-    reachable = {mark.to for mark in level}
+    reachable = {mark.end_name for mark in level}
     straight = [
-        TapeDistance.of(*targets[t], place, floor=False)
+        TapeDistance.from_station(*targets[t], place, floor=False)
         for t in np.flatnonzero(visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.metres > MIN_TAPE]
-    return sorted(every, key=lambda mark: (mark.metres > MAX_TAPE, not mark.floor, mark.metres))[:MAX_MARKS]
+    every = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
+    return sorted(every, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
+        :MAX_CONSIDERED_MARKS
+    ]
 
 
-def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
+def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
     """Three short distances with good intersection that determine one position only.
 
     If there are none, the firmest three.
     """
 
     def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
-        firm, good = firmness(three, place), not lacking(three, place)
-        longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
+        firm, good = position_firmness(three, place), not tape_deficiency_sentence(three, place)
+        longest, straight = max(mark.length for mark in three), sum(not mark.is_along_floor for mark in three)
         return (
             good,
-            good and longest <= MAX_TAPE,
-            firm - good * (MIN_GAIN_PER_METRE * longest + MIN_STRAIGHT_GAIN * straight),
+            good and longest <= MAX_TAPE_DISTANCE,
+            firm - good * (MIN_FIRMNESS_GAIN_PER_METRE * longest + MIN_SLOPE_FIRMNESS_GAIN * straight),
         )
 
     return max(combinations(marks, 3), key=worth, default=tuple(marks))
 
 
-def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
+def position_firmness(distances: Sequence[TapeDistance], place: Floats) -> float:
     """Smallest change of distances per step on the floor: the smallest singular value of their gradients."""
-    slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
+    slopes = np.array([(place[:2] - mark.end_point[:2]) / mark.length for mark in distances])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
-def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
+def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> str:
     """Sentence on why distances with resolution `TAPE_RESOLUTION` do not determine one position; empty if they do."""
     if len(tapes) < 3:
         return "Fewer than three points are within reach of a tape: mark the place in another way."
-    if (firm := firmness(tapes, place)) * MAX_AMBIGUITY < TAPE_RESOLUTION:
+    if (firm := position_firmness(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
-    at = np.array([mark.place[:2] for mark in tapes])
-    rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
+    at = np.array([mark.end_point[:2] for mark in tapes])
+    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
     first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     along = (second - first) / np.linalg.norm(second - first)
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
-    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
-    if np.linalg.norm(mirror - place[:2]) < MAX_AMBIGUITY or np.abs(misses).max() > MIN_MISCLOSURE:
+    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
+    if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
 
 
-def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
+def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
     """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
-    survey = plan.chosen.survey
-    way = survey.points[visible] - place
+    survey = plan.layout.survey
+    way = survey.target_points[visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
     best = int(np.argmin(np.abs(off)))
     name = survey.target_names[np.flatnonzero(visible)[best]]
@@ -194,9 +198,9 @@ def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) ->
     return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
 
 
-def checks(plan: PlannedNetwork) -> list[str]:
+def check_sentences(plan: PlannedNetwork) -> list[str]:
     """Checks in the order of measurement, one sentence each."""
-    survey, file = plan.chosen.survey, plan.file
+    survey, file = plan.layout.survey, plan.plan_file
     sentences = [
         f"Before the first pointing: the tracker is warm, its built-in checks are passed, the air has the planned "
         f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
@@ -209,7 +213,7 @@ def checks(plan: PlannedNetwork) -> list[str]:
         sentences.append(
             "In both faces: the difference of the two readings is similar for all points; otherwise one is wrong."
         )
-    if len(survey.position) > 1:
+    if len(survey.station_positions) > 1:
         sentences.append(
             "Before you leave the second and each later station: ltsim adjust with all readings reports no outlier."
         )

@@ -9,31 +9,38 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
-from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.objective import DIAGNOSIS_QUALITY, INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
 from ltsim.planning.site import SearchSpace
-from ltsim.planning.spec import WALLS, PlanFile
-from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import importance
-from ltsim.recordings.air import Air
+from ltsim.planning.spec import WALLS_NAME, PlanFile
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.tolerances import point_weights
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.floor import areas_and_keep_outs
-from ltsim.scene.meshes import nest_places, walls
+from ltsim.scene.meshes import candidate_nest_places, wall_triangles
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
-from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
+from ltsim.simulation.workshop import (
+    WorkshopLayout,
+    make_obstacles,
+    make_sight_limits,
+    make_visibility,
+    placed_obstacles,
+    planned_layout,
+)
 
-MAX_TILT_DEFICIT = 1e-3
+MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
-RANGES = ("distance",)
-RANGE_STATIONS = 3
+RANGES_ONLY = ("distance",)
+MIN_RANGE_STATIONS = 3
 """Number of stations whose ranges determine a reflector."""
-EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+NO_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 
 
-def survey_of(scenario: Scenario) -> Survey:
+def planned_survey(scenario: Scenario) -> PlannedSurvey:
     """Survey of a scenario: its planned layout, set-up, order and timing.
 
     Raises SetupError for an inclined station, for several trackers, and if ranges are not recorded.
@@ -41,121 +48,130 @@ def survey_of(scenario: Scenario) -> Survey:
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
         raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
-    if scenario.instrument.observables not in (OBSERVABLES, RANGES):
+    if scenario.instrument.observables not in (OBSERVABLES, RANGES_ONLY):
         raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
-    layout, work = planned(scenario), scenario.work
-    lean = 1.0 - layout.rotation[:, 2, 2]
-    if lean.max() > MAX_TILT_DEFICIT:
-        raise SetupError(f"station {layout.stations[int(lean.argmax())]} is tilted; a plan needs vertical stations")
-    recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
-    return Survey(
+    layout, work = planned_layout(scenario), scenario.work
+    lean = 1.0 - layout.station_rotations[:, 2, 2]
+    if lean.max() > MAX_TILT_COSINE_DEFICIT:
+        raise SetupError(
+            f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs vertical stations"
+        )
+    recording, _ = simulate(scenario.model_copy(update={"placing": NO_SCATTER}), 0)
+    return PlannedSurvey(
         setup=recording.setup,
-        station_names=layout.stations,
-        target_names=layout.targets,
-        position=layout.position,
-        yaw=np.arctan2(layout.rotation[:, 1, 0], layout.rotation[:, 0, 0]),
-        points=layout.points,
-        visible=visibility_of(scenario, layout).visible,
+        station_names=layout.station_names,
+        target_names=layout.target_names,
+        station_positions=layout.station_positions,
+        station_yaws=np.arctan2(layout.station_rotations[:, 1, 0], layout.station_rotations[:, 0, 0]),
+        target_points=layout.target_points,
+        is_visible=make_visibility(scenario, layout).is_visible,
         faces=tuple(range(1, work.faces + 1)),
         repeats=work.repeats,
         seconds_per_pointing=work.seconds_per_pointing,
         seconds_per_move=60.0 * work.minutes_per_move,
-        rank=None if work.order == "as-listed" else _rank(recording, layout),
-        face_by_face=work.face_order == "per-station",
+        target_ranks=None if work.order == "as-listed" else _target_ranks(recording, layout),
+        measures_face_by_face=work.face_order == "per-station",
         observables=scenario.instrument.observables,
     )
 
 
-def _rank(recording: Recording, layout: Layout) -> Ints:
+def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
     """Rank (S, T) of each target in each station's first round; invisible targets are last."""
-    count = len(layout.targets)
-    first = np.full((len(layout.stations), count), np.inf)
-    target = np.array([layout.targets.index(name) for name in recording.targets])[recording.target]
-    station = np.array([layout.stations.index(name) for name in recording.stations])[recording.station]
+    count = len(layout.target_names)
+    first = np.full((len(layout.station_names), count), np.inf)
+    target = np.array([layout.target_names.index(name) for name in recording.targets])[recording.target]
+    station = np.array([layout.station_names.index(name) for name in recording.stations])[recording.station]
     np.minimum.at(first, (station, target), recording.time)
     return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
 
 
-def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> SearchSpace:
+def make_search_space(
+    plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1
+) -> SearchSpace:
     """Search space of a plan with a number of stations and a measuring procedure."""
-    survey, layout, mm, air = survey_of(scenario), planned(scenario), MILLIMETRE, scenario.air or Air()
-    levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
+    survey, layout, mm, air = (
+        planned_survey(scenario),
+        planned_layout(scenario),
+        MILLIMETRE,
+        scenario.air or AirUncertainty(),
+    )
+    levels, moves = survey.station_positions[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = areas_and_keep_outs(
         plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
     )
-    longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
+    longest = max(np.linalg.norm(area.outline[:, None] - survey.target_points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
     wanted = plan.stations.min_stations_per_target
     least = stations if wanted == "all" else min(wanted, stations)
-    if not survey.is_whole and least < RANGE_STATIONS:
-        if stations < RANGE_STATIONS or plan.asks_for_sights:
+    if not survey.records_angles and least < MIN_RANGE_STATIONS:
+        if stations < MIN_RANGE_STATIONS or plan.requires_sights:
             raise SetupError(
-                f"ranges alone place a reflector from {RANGE_STATIONS} stations, not from {least}; ask for more"
+                f"ranges alone place a reflector from {MIN_RANGE_STATIONS} stations, not from {least}; ask for more"
             )
-        least = RANGE_STATIONS
+        least = MIN_RANGE_STATIONS
     return SearchSpace(
-        survey=with_stations(survey, stations).replace(
+        survey=with_station_count(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
-            importance=importance(plan),
-            air=air if air.counts(float(longest)) else None,
+            target_weights=point_weights(plan),
+            air=air if air.is_relevant(float(longest)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move if moves is None else 60.0 * moves,
         ),
-        areas=areas,
-        keep_outs=keep_outs,
-        limits=sight_limits(scenario, scenario.instrument),
+        allowed_areas=areas,
+        forbidden_areas=keep_outs,
+        sight_limits=make_sight_limits(scenario, scenario.instrument),
         position_tolerance=plan.stations.position_tolerance_mm * mm,
-        aimed=~layout.reaimed,
-        obstacles=obstacles_of(scenario),
-        spacing=plan.stations.spacing_mm * mm,
+        is_aimed_nest=~layout.is_reaimed,
+        obstacles=make_obstacles(scenario),
+        min_station_spacing=plan.stations.spacing_mm * mm,
         min_sights=least,
-        fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
-        nests=places,
+        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
+        candidate_nests=places,
         nest_names=names,
-        reflector_spacing=plan.reflectors.spacing_mm * mm,
+        min_reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
 
 
-def fewest_sights(scenario: Scenario) -> int:
+def min_sights_of_reflector(scenario: Scenario) -> int:
     """Smallest number of stations that must see a reflector: one, or several if ranges alone are recorded."""
-    return 1 if scenario.instrument.observables == OBSERVABLES else RANGE_STATIONS
+    return 1 if scenario.instrument.observables == OBSERVABLES else MIN_RANGE_STATIONS
 
 
-def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
+def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
     """Plan of a layout that is not searched, and its search space, whose survey is that layout.
 
     If the plan does not give the number of stations per reflector, the smallest sufficient number is used.
     """
-    asked = file if file.asks_for_sights else file.with_min_stations(fewest_sights(scenario))
+    asked = file if file.requires_sights else file.with_min_stations(min_sights_of_reflector(scenario))
     work = scenario.work
-    site = site_of(asked, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
-    return asked, site.replace(survey=site.survey.replace(visible=site.visible(site.survey.position)))
+    site = make_search_space(asked, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
+    return asked, site.replace(survey=site.survey.replace(is_visible=site.is_visible(site.survey.station_positions)))
 
 
-def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
+def procedures(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
     """Numbers of faces and of rounds that may be chosen; those of the scenario if the plan gives no choice."""
-    if not plan.chooses:
+    if not plan.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
     return sorted(set(plan.budget.faces or (1, 2))), sorted(set(plan.budget.repeats or usual))
 
 
-def with_stations(survey: Survey, count: int) -> Survey:
+def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
     """Survey with its first stations, or with placeholders for additional ones."""
-    have = len(survey.position)
+    have = len(survey.station_positions)
     names = [*survey.station_names]
-    free = (f"S{i}" for i in range(1, have + count + 1) if f"S{i}" not in names)
-    names += [next(free) for _ in range(max(count - have, 0))]
-    index = np.arange(count) % have
-    shift = (np.arange(count) // have)[:, None] * [0.37, 0.23, 0.0]
-    rank = survey.rank
+    free = (f"S{i}" for i in range(1, have + n_stations + 1) if f"S{i}" not in names)
+    names += [next(free) for _ in range(max(n_stations - have, 0))]
+    index = np.arange(n_stations) % have
+    shift = (np.arange(n_stations) // have)[:, None] * [0.37, 0.23, 0.0]
+    rank = survey.target_ranks
     return survey.replace(
-        station_names=tuple(names[:count]),
-        position=survey.position[index] + shift,
-        yaw=survey.yaw[index] + np.arange(count) // have,
-        visible=survey.visible[index],
-        rank=None if rank is None else rank[index],
+        station_names=tuple(names[:n_stations]),
+        station_positions=survey.station_positions[index] + shift,
+        station_yaws=survey.station_yaws[index] + np.arange(n_stations) // have,
+        is_visible=survey.is_visible[index],
+        target_ranks=None if rank is None else rank[index],
     )
 
 
@@ -164,7 +180,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
     for body in plan.reflectors.on:
-        points.append(_on_body(plan, scenario, body))
+        points.append(_places_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
     for surface in plan.reflectors.surfaces:
         steps = np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns)
@@ -176,41 +192,41 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     return np.concatenate(points) * MILLIMETRE, tuple(names)
 
 
-def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
+def _places_on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
-    if body == WALLS:
-        triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
+    if body == WALLS_NAME:
+        triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part.triangles for part in bodies_of(scenario) if part.name == body])
+        triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = nest_places(triangles, standoff, spacing, obstacles_of(scenario), closed=body != WALLS)
+    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS_NAME)
     return np.asarray(np.round(places / MILLIMETRE))
 
 
-def staying(plan: PlanFile, scenario: Scenario) -> Bools:
+def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
     """Flags (T,) of the targets that the search does not move: all without candidate places, else the fixed ones."""
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
-    return _is_fixed(plan, scenario, names, [point.name for point in plan.listed])
+    return _fixed_flags(plan, scenario, names, [point.name for point in plan.listed_points])
 
 
-def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
+def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
     """Flags (T,) of the targets of a survey that are neither free nor declared movable."""
     free = plan.reflectors.movable
-    demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
-    return _is_fixed(plan, scenario, survey.target_names, demanded)
+    demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
+    return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
-def _is_fixed(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
+def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
     fixed = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 
 
-def objective_of(plan: PlanFile, survey: Survey) -> Objective:
+def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """Objective of the plan; an effect of one station is considered at each of them."""
     goal = plan.goal
-    weights = {INSTRUMENT: goal.instrument, TARGETS: goal.targets, DIAGNOSIS: goal.diagnosis}
+    weights = {INSTRUMENT_QUALITY: goal.instrument, TARGETS_QUALITY: goal.targets, DIAGNOSIS_QUALITY: goal.diagnosis}
     effects: list[Effect] = []
     for name in goal.effects if goal.diagnosis else ():
         kind = find_effect(name)
@@ -221,7 +237,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         else:
             message = "acts on single targets or readings; name effects that act on all or on a station"
             raise SetupError(f"goal.effects: {name} {message}")
-    built = misalignment()
-    sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None
+    built = misalignment_construction()
+    sightings = sightings_of(survey.noise_free_recording(built), survey.nominal_state(built)) if effects else None
     places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
-    return Objective(weights, goal.criterion, tuple(effects), places)
+    return LayoutObjective(weights, goal.criterion, tuple(effects), places)

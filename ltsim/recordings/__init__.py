@@ -7,9 +7,9 @@ if TYPE_CHECKING:
     from ltsim.recordings.conventions import NO_HINTS as NO_HINTS, Hints as Hints
     from ltsim.recordings.exchange import (
         FORMATS as FORMATS,
-        Format as Format,
+        FileFormat as FileFormat,
         read as read,
-        recognised as recognised,
+        recognise_format as recognise_format,
         write as write,
     )
     from ltsim.recordings.recording import Recording as Recording
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Loaded when first used: who needs a recording in memory need not wait for every format.
 _MODULES = {
     "conventions": ("Hints", "NO_HINTS"),
-    "exchange": ("FORMATS", "Format", "read", "recognised", "write"),
+    "exchange": ("FORMATS", "FileFormat", "read", "recognise_format", "write"),
     "recording": ("Recording",),
     "setup": ("Setup",),
 }

@@ -4,7 +4,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import NonNegative, TomlSection
 
 
-class Air(TomlSection):
+class AirUncertainty(TomlSection):
     """Uncertainty of the air along the beams: standard deviations of the properties that were not measured.
 
     It is 0 for a measured one.
@@ -23,12 +23,12 @@ class Air(TomlSection):
     beyond_mm: NonNegative = 10_000.0
     """Length of the longest line of sight above which the uncertainty of the air is taken into account."""
 
-    def counts(self, longest: float) -> bool:
+    def is_relevant(self, max_range: float) -> bool:
         """True if a network with this longest range [m] takes the uncertainty of the air into account."""
-        return longest > self.beyond_mm * MILLIMETRE
+        return max_range > self.beyond_mm * MILLIMETRE
 
 
-NO_AIR = Air(temperature_k=0.0, gradient_k_per_m=0.0, turbulence_um2_per_m3=0.0)
+NO_AIR_UNCERTAINTY = AirUncertainty(temperature_k=0.0, gradient_k_per_m=0.0, turbulence_um2_per_m3=0.0)
 """Uncertainty of the air for formats of outdoor surveys: none, because the standard deviations of their observations
 include the atmosphere.
 """

@@ -17,34 +17,34 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.notation import listing
-from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE
-from ltsim.geometry.alignment import align
+from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.transcription_errors import SHORTEST_MM, chord_gap, clouds_of
+from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM, length_disagreement, station_clouds
 
-Angle = Literal["deg", "gon", "rad"]
-Vertical = Literal["zenith", "elevation"]
-Azimuth = Literal["clockwise", "counter-clockwise"]
-Length = Literal["mm", "m"]
-Pose = tuple[Floats, Floats]
+AngleUnit = Literal["deg", "gon", "rad"]
+VerticalKind = Literal["zenith", "elevation"]
+AzimuthSense = Literal["clockwise", "counter-clockwise"]
+LengthUnit = Literal["mm", "m"]
+StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
-CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
-ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
-VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
+FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
+ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
 """Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
 MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
-MAX_NOTES = 3
-MIN_PACE_S, MAX_PACE_S = 0.1, 7200.0
-"""Shortest and longest plausible median time [s] between consecutive targets; a question about the clock is asked
-outside them.
-"""
-MIN_STEPS = 8
+MAX_LISTED_NOTES = 3
+MIN_PLAUSIBLE_PACE_S = 0.1
+"""Shortest plausible median time [s] between consecutive targets; below it a question about the clock is asked."""
+MAX_PLAUSIBLE_PACE_S = 7200.0
+"""Longest plausible median time [s] between consecutive targets; above it a question about the clock is asked."""
+MIN_TARGET_CHANGES = 8
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class Hints:
     reference lengths.
     """
 
-    angle: Angle | None = None
-    vertical: Vertical | None = None
-    azimuth: Azimuth | None = None
-    length: Length | None = None
+    angle: AngleUnit | None = None
+    vertical: VerticalKind | None = None
+    azimuth: AzimuthSense | None = None
+    length: LengthUnit | None = None
     points: Path | None = None
     station: str | None = None
     columns: str | None = None
@@ -74,7 +74,7 @@ NO_HINTS = Hints()
 
 
 @dataclass(frozen=True)
-class PolarTable:
+class PolarReadings:
     """Polar readings as they are in a file: horizontal and vertical angle, distance, indices of station and target.
 
     All are (n,).
@@ -86,55 +86,64 @@ class PolarTable:
     vertical: Floats
     distance: Floats
 
-    def points(self, angle: Angle, vertical: Vertical) -> Floats:
+    def points(self, angle: AngleUnit, vertical: VerticalKind) -> Floats:
         """Coordinates (n, 3) in each station's frame, in the unit of the distances.
 
         Azimuths are taken as counter-clockwise.
         """
-        upward = self.vertical * FACTOR[angle]
+        upward = self.vertical * SI_PER_UNIT[angle]
         elevation = np.pi / 2 - upward if vertical == "zenith" else upward
-        return from_polar(np.stack([self.distance, self.horizontal * FACTOR[angle], elevation], axis=1))
+        return from_polar(np.stack([self.distance, self.horizontal * SI_PER_UNIT[angle], elevation], axis=1))
 
 
-def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle, Vertical, list[str]]:
+def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
     """Unit of the angles, kind of the vertical angle, and notes on what the data decided.
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
-    angles = ANGLES if hints.angle is None else (hints.angle,)
-    verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
+    angles = ANGLE_UNITS if hints.angle is None else (hints.angle,)
+    verticals = VERTICAL_KINDS if hints.vertical is None else (hints.vertical,)
     open_ = [
-        (a, v) for a in angles for v in verticals if _is_possible(table, a, v, is_declared=hints.vertical is not None)
+        (a, v)
+        for a in angles
+        for v in verticals
+        if _is_possible_convention(table, a, v, is_declared=hints.vertical is not None)
     ]
     if not open_:
         raise RecordError("the angles have none of the units deg, gon and rad; check the columns", file=file)
     meaning, why = open_[0], "no other interpretation fits the values"
     if len(open_) > 1:
-        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _require_hint(open_, file)
+        meaning, why = (
+            _convention_from_faces(table, open_)
+            or _convention_from_lengths(table, open_)
+            or _missing_hint_error(open_, file)
+        )
     notes = []
     if hints.angle is None or hints.vertical is None:
         notes.append(f"angles are interpreted as {meaning[0]}, the vertical ones as {meaning[1]} angles ({why})")
     return (*meaning, notes)
 
 
-def _is_possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
+def _is_possible_convention(
+    table: PolarReadings, angle: AngleUnit, vertical: VerticalKind, *, is_declared: bool
+) -> bool:
     """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
 
     An elevation beyond the zenith occurs on face 2 only. A file with such values, but without a target on two faces,
     therefore holds zenith angles, unless the kind is declared (`is_declared`).
     """
-    circle = CIRCLE[angle]
+    circle = FULL_CIRCLE_BY_UNIT[angle]
     horizontal, upward = table.horizontal, table.vertical
     if np.nanmax(np.abs(horizontal), initial=0) > circle * 1.001 or np.nanmax(np.abs(upward), initial=0) > circle:
         return False
     if vertical == "elevation":
         highest = float(np.nanmax(upward, initial=0))
         within = float(np.nanmin(upward, initial=0)) >= -circle / 4 and highest <= 0.75 * circle
-        return within and (is_declared or highest <= circle / 4 or _on_two_faces(table, angle, vertical) > 0)
+        return within and (is_declared or highest <= circle / 4 or _count_two_face_pairs(table, angle, vertical) > 0)
     return bool(np.nanmin(upward, initial=0) >= 0)
 
 
-def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
+def _same_target_rows(table: PolarReadings) -> tuple[Ints, Ints]:
     """Pairs of rows: each row and the next one with the same station and target."""
     order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
     first, next_ = order[:-1], order[1:]
@@ -142,10 +151,10 @@ def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
     return first[keep], next_[keep]
 
 
-def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
+def _count_two_face_pairs(table: PolarReadings, angle: AngleUnit, vertical: VerticalKind) -> int:
     """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
-    first, other = _same_target(table)
-    circle = CIRCLE[angle]
+    first, other = _same_target_rows(table)
+    circle = FULL_CIRCLE_BY_UNIT[angle]
     total = circle if vertical == "zenith" else circle / 2
     turn = np.abs(np.mod(table.horizontal[first] - table.horizontal[other], circle) - circle / 2)
     rest = np.abs(table.vertical[first] + table.vertical[other] - total)
@@ -153,21 +162,27 @@ def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
     return int(fits.sum())
 
 
-def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
+def _convention_from_faces(
+    table: PolarReadings, open_: list[tuple[AngleUnit, VerticalKind]]
+) -> tuple[tuple[AngleUnit, VerticalKind], str] | None:
     """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
-    counts = [_on_two_faces(table, angle, vertical) for angle, vertical in open_]
+    counts = [_count_two_face_pairs(table, angle, vertical) for angle, vertical in open_]
     best = int(np.argmax(counts))
     if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
         return None
     return open_[best], f"{counts[best]} targets in two faces add up accordingly"
 
 
-def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
+def _convention_from_lengths(
+    table: PolarReadings, open_: list[tuple[AngleUnit, VerticalKind]]
+) -> tuple[tuple[AngleUnit, VerticalKind], str] | None:
     """Unit and kind of vertical angle under which two stations see equal lengths between targets.
 
     It is None if several do.
     """
-    gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
+    gaps = [
+        length_disagreement(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_
+    ]
     if not np.all(np.isfinite(gaps)):
         return None
     first, second = np.argsort(gaps)[:2]
@@ -176,7 +191,9 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
     return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
 
 
-def _require_hint(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
+def _missing_hint_error(
+    open_: list[tuple[AngleUnit, VerticalKind]], file: object
+) -> tuple[tuple[AngleUnit, VerticalKind], str]:
     """Error that asks the user to choose between conventions; raises RecordError with the option to type."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
@@ -185,25 +202,25 @@ def _require_hint(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tu
     raise RecordError(message, file=file)
 
 
-def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
+def length_meaning(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
     """Unit of the distances, with notes: metres if none exceeds the largest value of a tracker network in metres."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
-    length: Length = "m" if longest < SHORTEST_MM else "mm"
+    length: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
     return length, [f"distances are interpreted as {length} (the longest is {longest:.6g})"]
 
 
-SENSE_UNKNOWN = (
+SENSE_UNKNOWN_NOTE = (
     "this file does not show whether azimuths run clockwise, because its mirror image fits as well; give "
     "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or the coordinates of some targets with "
     "--hint points=FILE"
 )
 
 
-def sense_from_points(
-    local: Floats, table: PolarTable, targets: Sequence[str], file: Path
-) -> tuple[Azimuth, list[str]]:
+def azimuth_sense_from_points(
+    local: Floats, table: PolarReadings, targets: Sequence[str], file: Path
+) -> tuple[AzimuthSense, list[str]]:
     """Sense of the azimuth by the coordinates of targets in `file`, with notes.
 
     Raises RecordError if they do not decide.
@@ -211,7 +228,7 @@ def sense_from_points(
     points = read_points(file, strict=False)
     place = {name: i for i, name in enumerate(targets)}
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
-    azimuth = _sense_by_points(local, table, places)
+    azimuth = _azimuth_sense_by_alignment(local, table, places)
     if azimuth is None:
         message = f"the coordinates of {len(places)} targets do not decide whether azimuths run clockwise; give "
         raise RecordError(message + "--hint azimuth=clockwise or --hint azimuth=counter-clockwise", file=file)
@@ -221,7 +238,9 @@ def sense_from_points(
     ]
 
 
-def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Floats]) -> Azimuth | None:
+def _azimuth_sense_by_alignment(
+    local: Floats, table: PolarReadings, place_of: Mapping[int, Floats]
+) -> AzimuthSense | None:
     """Sense of the azimuth under which the targets of a station fit known points (by target index) rigidly.
 
     `local` (n, 3) [m] are the targets with counter-clockwise azimuth. None if neither sense fits ten times better, such
@@ -236,7 +255,7 @@ def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Fl
         misfit = _misfits(local[rows], np.array([place_of[int(t)] for t in table.target[rows]]))
         if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
             votes.append(int(np.argmin(misfit)))
-    return _vote(votes)
+    return _majority_sense(votes)
 
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
@@ -248,14 +267,16 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
         try:
-            rotation, shift = align(image, goal)
+            rotation, shift = align_rigidly(image, goal)
             misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
         except NetworkError:
             misfits.append(1.0)
     return misfits
 
 
-def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
+def azimuth_sense_from_poses(
+    local: Floats, table: PolarReadings, poses: Mapping[int, StationPoseArrays]
+) -> AzimuthSense | None:
     """Sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
     misfit = []
     for side in (1.0, -1.0):
@@ -263,37 +284,37 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) 
         for s, (rotation, position) in poses.items():
             rows = table.station == s
             world[rows] = (local[rows] * [1.0, side, 1.0]) @ rotation.T + position
-        misfit.append(_spread_between_stations(world, table))
+        misfit.append(_median_station_distance(world, table))
     if not np.all(np.isfinite(misfit)) or max(misfit) < MIN_MISFIT_RATIO * min(misfit):
         return None
-    return _vote([int(np.argmin(misfit))])
+    return _majority_sense([int(np.argmin(misfit))])
 
 
-def _spread_between_stations(world: Floats, table: PolarTable) -> float:
+def _median_station_distance(world: Floats, table: PolarReadings) -> float:
     """Median distance between the positions of a target from different stations; NaN without such a target."""
     places_of: dict[int, list[Floats]] = {}
-    for cloud in clouds_of(world, table.station, table.target).values():
+    for cloud in station_clouds(world, table.station, table.target).values():
         for target, point in cloud.items():
             places_of.setdefault(target, []).append(point)
     gaps = [np.linalg.norm(np.ptp(np.array(places), axis=0)) for places in places_of.values() if len(places) > 1]
     return float(np.median(gaps)) + 1e-9 if gaps else float("nan")
 
 
-def _vote(votes: list[int]) -> Azimuth | None:
+def _majority_sense(votes: list[int]) -> AzimuthSense | None:
     if not votes or min(votes) != max(votes):
         return None
     return "clockwise" if votes[0] else "counter-clockwise"
 
 
-def pace_question(recording: Recording) -> tuple[str, ...]:
+def clock_question(recording: Recording) -> tuple[str, ...]:
     """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
     turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     steps = np.abs(np.diff(recording.time))[turned]
     steps = steps[np.isfinite(steps)]
-    if not recording.has_clock or len(steps) < MIN_STEPS:
+    if not recording.has_clock or len(steps) < MIN_TARGET_CHANGES:
         return ()
     step = float(np.median(steps))
-    if MIN_PACE_S <= step <= MAX_PACE_S:
+    if MIN_PLAUSIBLE_PACE_S <= step <= MAX_PLAUSIBLE_PACE_S:
         return ()
     span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -302,43 +323,43 @@ def pace_question(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def vertical_pointings(recording: Recording) -> tuple[str, ...]:
+def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which a network uses only the distances."""
     rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
-    where = listing([recording.where(int(row) + 1) for row in rows], MAX_NOTES)
+    where = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
     return (
         f"{where}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 
 
-def contradictions(recording: Recording) -> tuple[str, ...]:
+def convention_contradictions(recording: Recording) -> tuple[str, ...]:
     """Contradictions between set-ups, or rough positions, and the sense of the azimuths: only a mirror image fits.
 
     Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction.
     """
     local = from_polar(recording.readings)
-    table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
-    poses = poses_of(recording.setup, recording.stations)
+    table = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
+    poses = rough_poses(recording.setup, recording.stations)
     notes = []
-    if len(poses) > 1 and sense_by_poses(local, table, poses) == "clockwise":
+    if len(poses) > 1 and azimuth_sense_from_poses(local, table, poses) == "clockwise":
         notes.append(
             "the declared places of the stations fit only the mirror image of the readings: if the azimuths run "
             "clockwise give --hint azimuth=clockwise, otherwise the floor plan is left-handed"
         )
-    for first, other in _mirrored_pairs(local, recording):
+    for first, other in _mirrored_station_pairs(local, recording):
         notes.append(
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of them run clockwise"
         )
-    return tuple(notes[:MAX_NOTES])
+    return tuple(notes[:MAX_LISTED_NOTES])
 
 
-def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
+def _mirrored_station_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
     """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
-    clouds = clouds_of(local, recording.station, recording.target)
+    clouds = station_clouds(local, recording.station, recording.target)
     pairs = []
     for s, cloud in clouds.items():
         before = [k for k in clouds if k < s]
@@ -353,11 +374,11 @@ def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]
     return pairs
 
 
-def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
+def rough_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
     """Rough poses of stations by index, from the floor plan: position and direction of azimuth zero."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)
         if station is not None and station.position_mm is not None and station.yaw_deg is not None:
-            poses[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
+            poses[i] = rotation_about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
     return poses

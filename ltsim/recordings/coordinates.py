@@ -20,43 +20,43 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.results import guarded, plain
-from ltsim.core.units import FACTOR, MILLIMETRE
-from ltsim.recordings.files import SourceLocation, decoded, shown
+from ltsim.core.results import guard_formula, unguard_formula
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
+from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
-    PLACE,
-    READINGS,
-    SIGMA,
-    SIGMA_OF,
+    COMMON_SIGMA_ROLE,
+    COORDINATE_ROLES,
+    READING_ROLES,
+    SIGMA_ROLES,
     TableColumn,
-    columns_of,
-    count_of_roles,
-    words_of,
+    count_role_titles,
+    header_columns,
+    title_words_and_unit,
 )
-from ltsim.recordings.tables.sheets import Row, Sheet, rows_of_head, sheets_of
-from ltsim.recordings.xml import Node, banded, parse
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet, head_rows, read_sheets
+from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
-AXES = "xyz"
+AXIS_NAMES = "xyz"
 MAX_ASYMMETRY = 1e-6
 """Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
 MIN_CORRELATION_EIGENVALUE = -1e-9
 """Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
-MAX_METRES = 500.0
+MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate up to which a list without a unit is interpreted as metres."""
 MIN_GRID_COORDINATE = 1e6
 """Coordinate from which numbers are interpreted as a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles of surveyors' lists, which are in metres if they state no unit."""
-WIDTHS = (4, 7, 8, 16, 17)
-EXPECTED = (
+FIELD_COUNTS = (4, 7, 8, 16, 17)
+EXPECTED_CONTENT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
 )
 
 
 @dataclass(frozen=True)
-class Points:
+class PointList:
     """List of n named points, in the order of its file."""
 
     names: tuple[str, ...]
@@ -65,11 +65,11 @@ class Points:
     covariance: Floats
     """Covariance of each point, (n, 3, 3) [m^2]; NaN if not given."""
     notes: tuple[str, ...] = ()
-    further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Texts of each additional column by its header, n each."""
-    lines: tuple[int, ...] = ()
+    line_numbers: tuple[int, ...] = ()
     """Line number of each point in the file."""
-    contradictory: int = 0
+    n_contradictory_rows: int = 0
     """Number of rows that repeat a name with other coordinates and are ignored."""
 
     @property
@@ -84,7 +84,7 @@ class Points:
         return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
-def read_points(path: str | Path, *, strict: bool = True) -> Points:
+def read_points(path: str | Path, *, strict: bool = True) -> PointList:
     """List of points from a file.
 
     Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
@@ -101,54 +101,54 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
         One sentence: file, row, what was found and what is expected.
     """
     path = Path(path)
-    for sheet in sheets_of(path):
-        header = _header_of(sheet.rows) or _without_header(sheet)
+    for sheet in read_sheets(path):
+        header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
-            return _PointRows(sheet, *header).points(strict=strict)
-    raise RecordError(f"is not a list of coordinates, {EXPECTED}", file=path)
+            return _PointRowReader(sheet, *header).points(strict=strict)
+    raise RecordError(f"is not a list of coordinates, {EXPECTED_CONTENT}", file=path)
 
 
 def recognises(head: str) -> bool:
     """True if the first lines of a file are a list of points without a header, or the header of one."""
-    rows = rows_of_head(head)
-    header = _header_of(rows)
-    body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
+    rows = head_rows(head)
+    header = _header_columns(rows)
+    body = [row for row in rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
-        return not body or body[0].values > 1
-    whole = [_without_trailing_field(row) for row in body[: max(1, min(6, len(body)) - 1)]]
-    return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
+        return not body or body[0].n_values > 1
+    whole = [_drop_trailing_field(row) for row in body[: max(1, min(6, len(body)) - 1)]]
+    return bool(whole) and all(len(r) in FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in whole)
 
 
-def _without_trailing_field(row: Row) -> Sequence[str]:
+def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
     """Fields of a row without the empty one after a separator at the end of the line."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
-def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
+def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
     """Number of the first row and columns of a list without header (name and numbers); None for other content."""
-    first = next((row for row in sheet.rows if not row.comment), None)
-    if first is None or not all(map(cells.is_value, _without_trailing_field(first)[1:])):
+    first = next((row for row in sheet.rows if not row.is_comment), None)
+    if first is None or not all(map(cells.is_value, _drop_trailing_field(first)[1:])):
         return None
-    width = len(_without_trailing_field(first))
-    if width not in WIDTHS:
-        raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED}")
-    names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
+    width = len(_drop_trailing_field(first))
+    if width not in FIELD_COUNTS:
+        raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED_CONTENT}")
+    names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
     return 0, [TableColumn(place, name, name) for place, name in enumerate(names)]
 
 
-def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
+def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of the row after the header, and the columns that the header names."""
     for place, row in enumerate(rows):
-        if not count_of_roles(row.fields) or row.values:
+        if not count_role_titles(row.fields) or row.n_values:
             continue
-        columns = columns_of(row.fields)
+        columns = header_columns(row.fields)
         roles = {c.role for c in columns}
         if {"x", "y"} <= roles and "z" not in roles:
             columns = [replace(c, role="z") if c.role == "elevation" else c for c in columns]
-        others = {*READINGS} - {*PLACE, "elevation"}
-        if not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
+        others = {*READING_ROLES} - {*COORDINATE_ROLES, "elevation"}
+        if not roles & {*COORDINATE_ROLES} or roles & others or {"station", "target"} <= roles:
             continue
         if "target" in roles:
             return place + 1, columns
@@ -159,27 +159,27 @@ def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     return None
 
 
-class _PointRows:
+class _PointRowReader:
     """Rows of a sheet from row `start` on, with the meaning of its columns."""
 
-    def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
+    def __init__(self, sheet: TableSheet, start: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
-        self.width = columns[-1].place + 1
+        self.width = columns[-1].position + 1
         sigmas = ("sigma", "covariance")
-        self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
+        self.numbers = {c.role: c for c in self.columns if c.role in COORDINATE_ROLES or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
 
-    def points(self, *, strict: bool) -> Points:
+    def points(self, *, strict: bool) -> PointList:
         """Points in these rows."""
-        self.sheet.check_whole(self.width)
-        listed: dict[str, tuple[Row, list[float]]] = {}
+        self.sheet.require_complete_end(self.width)
+        listed: dict[str, tuple[SheetRow, list[float]]] = {}
         notes = []
         for row in self.rows:
-            if row.comment or not any(row.fields):
+            if row.is_comment or not any(row.fields):
                 continue
             name, values = self._values(row)
             if name in listed and not np.array_equal(listed[name][1], values, equal_nan=True):
-                what = f"the point {shown(name)} was listed before with other coordinates"
+                what = f"the point {quoted_text(name)} was listed before with other coordinates"
                 if strict:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
@@ -190,36 +190,38 @@ class _PointRows:
         scale, decisions = self._scales(table)
         numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
         nothing = np.full(len(listed), np.nan)
-        points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
-        further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
-        texts = {c.title: tuple(row.cell(c.place) for row, _ in listed.values()) for c in further}
+        points = np.stack([numbers.get(axis, nothing) for axis in COORDINATE_ROLES], axis=1)
+        further = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
+        texts = {c.title: tuple(row.cell(c.position) for row, _ in listed.values()) for c in further}
         lines = tuple(row.line for row, _ in listed.values())
         covariance = _covariance(numbers, len(listed))
-        return Points(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
+        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
 
-    def _values(self, row: Row) -> tuple[str, list[float]]:
+    def _values(self, row: SheetRow) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
-        if len(_without_trailing_field(row)) != self.width:
+        if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
         values = []
         for role, column in self.numbers.items():
-            text = row.cell(column.place)
-            number = cells.value(text, self.sheet.grouping)
+            text = row.cell(column.position)
+            number = cells.parse_value(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
-                raise where.error(f"found '{shown(text)}', expected a number", shown(column.title or role))
+                raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
             values.append(np.nan if number is None else float(number))
-        return where.name(plain(row.cell(self.name.place)), "point"), values
+        return where.name(unguard_formula(row.cell(self.name.position)), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factors from each number to metres (square metres for covariances), and notes on decisions."""
-        axes = [c for c in self.numbers.values() if c.role in PLACE]
-        largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
-        declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
-        surveyed = largest >= MIN_GRID_COORDINATE or any(words_of(c.title)[0] in GEODETIC_TITLES for c in axes)
-        chosen = declared or ("m" if surveyed or largest < MAX_METRES else "mm")
+        axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
+        largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
+        declared = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
+        surveyed = largest >= MIN_GRID_COORDINATE or any(
+            title_words_and_unit(c.title)[0] in GEODETIC_TITLES for c in axes
+        )
+        chosen = declared or ("m" if surveyed or largest < MAX_COORDINATE_IN_METRES else "mm")
         notes = [] if declared else [f"coordinates are interpreted as {chosen} (the largest is {largest:.6g})"]
-        scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
+        scales = [SI_PER_UNIT[c.unit if c.unit in SI_PER_UNIT and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
@@ -228,7 +230,10 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
     if "covariance 0" in numbers:
         full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
-    sigma = [numbers.get(SIGMA_OF[axis], numbers.get(SIGMA, np.full(count, np.nan))) for axis in PLACE]
+    sigma = [
+        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(count, np.nan)))
+        for axis in COORDINATE_ROLES
+    ]
     covariance = np.zeros((count, 3, 3))
     covariance[:, range(3), range(3)] = np.square(sigma).T
     covariance[~np.isfinite(sigma).any(axis=0)] = np.nan
@@ -236,7 +241,7 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
 
 
 @dataclass(frozen=True)
-class Coordinates:
+class EpochCoordinates:
     """Points of one epoch, along the d axes that were measured, with their joint covariance."""
 
     title: str
@@ -251,21 +256,21 @@ class Coordinates:
     notes: tuple[str, ...] = ()
 
     @property
-    def along(self) -> Ints:
+    def axis_indices(self) -> Ints:
         """Indices (d,) of the measured axes."""
-        return np.array([AXES.index(axis) for axis in self.axes])
+        return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 
-def holds_coordinates(path: Path) -> bool:
+def is_coordinate_file(path: Path) -> bool:
     """True if `read_coordinates` reads this file."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:
-        head = decoded(stream.read(4096)).lstrip()
+        head = decode_head(stream.read(4096)).lstrip()
     return "<gama-local-adjustment" in head if head.startswith("<") else recognises(head)
 
 
-def read_coordinates(path: Path) -> Coordinates:
+def read_coordinates(path: Path) -> EpochCoordinates:
     """Coordinates of one epoch with their covariance, from a file.
 
     Raises
@@ -276,36 +281,36 @@ def read_coordinates(path: Path) -> Coordinates:
     if not path.exists():
         raise RecordError("there is no such file", file=path)
     with path.open("rb") as stream:
-        is_xml = decoded(stream.read(256)).lstrip().startswith("<")
-    epoch = _from_gama(path) if is_xml else _from_list(path)
+        is_xml = decode_head(stream.read(256)).lstrip().startswith("<")
+    epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"contains the point '{shown(twice)}' twice", file=path)
+        raise RecordError(f"contains the point '{quoted_text(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
-        what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
+        what = f"{quoted_text(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch
 
 
-def _from_gama(path: Path) -> Coordinates:
+def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     """Adjusted points of gama-local with their covariance, from its upper band [mm^2]."""
-    parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
+    parts = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= parts.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
     rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
-    kinds = {"".join(axis for axis in AXES if axis in row) for row in rows}
+    kinds = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in rows}
     if len(kinds) != 1 or not (axes := kinds.pop()):
         raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
     points = np.zeros((len(rows), 3))
-    points[:, [AXES.index(axis) for axis in axes]] = [[_number(row[axis]) for axis in axes] for row in rows]
+    points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [[_parse_number(row[axis]) for axis in axes] for row in rows]
     band = {cell.tag: cell for cell in parts["cov-mat"]}
-    size, width = (_number(band[key]) if key in band else -1 for key in ("dim", "band"))
-    row, column, values = banded(
-        parts["cov-mat"], size, width, [_number(c) for c in parts["cov-mat"] if c.tag == "flt"]
+    size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
+    row, column, values = band_matrix_entries(
+        parts["cov-mat"], size, width, [_parse_number(c) for c in parts["cov-mat"] if c.tag == "flt"]
     )
     used = len(rows) * len(axes)
     if size < used:
@@ -314,27 +319,32 @@ def _from_gama(path: Path) -> Coordinates:
     matrix[row, column] = matrix[column, row] = values
     title = parts["description"].text if "description" in parts else ""
     names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
-    return Coordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
+    return EpochCoordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
 
 
-def _number(cell: Node) -> float:
-    return cell.where.number(cell.text, f"<{cell.tag}>")
+def _parse_number(cell: XmlNode) -> float:
+    return cell.location.number(cell.text, f"<{cell.tag}>")
 
 
-def _from_list(path: Path) -> Coordinates:
+def _coordinates_from_list(path: Path) -> EpochCoordinates:
     """Points of a list along its axes; their covariance is in a companion file or in columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
-    axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
-    at = [AXES.index(axis) for axis in axes]
+    axes = "".join(
+        axis for axis, any_ in zip(AXIS_NAMES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_
+    )
+    at = [AXIS_NAMES.index(axis) for axis in axes]
     if not measured[:, at].all():
         row, axis = np.argwhere(~measured[:, at])[0]
-        raise SourceLocation(path, listed.lines[row], axes[axis]).error("found '', expected a number")
+        raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
     points = np.where(measured, listed.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
-        covariance = _matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes]) * MILLIMETRE**2
-        return Coordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
+        covariance = (
+            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes])
+            * MILLIMETRE**2
+        )
+        return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
     blocks = listed.covariance[:, at][:, :, at]
     if not np.isfinite(blocks).all():
         what = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
@@ -345,28 +355,28 @@ def _from_list(path: Path) -> Coordinates:
     covariance = covariance.reshape(count * axes_, -1)
     common = f"{path.name} has no covariance between points ({companion.name})"
     note = f"{common}: they are treated as independent"
-    return Coordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
+    return EpochCoordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Content of ``NAME.covariance.csv``: a covariance [m^2] converted to mm^2, with headers such as ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = list(map(guarded, coordinates))
+    names = list(map(guard_formula, coordinates))
     writer.writerow(["", *names])
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
     return stream.getvalue()
 
 
-def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
+def _read_covariance_matrix(path: Path, wanted: Sequence[str]) -> Floats:
     """Covariance matrix from a file whose coordinates are named and may be in any order."""
-    sheet = sheets_of(path)[0]
-    (first, *body) = [row for row in sheet.rows if not row.comment]
-    names = list(map(plain, first.fields[1:]))
+    sheet = read_sheets(path)[0]
+    (first, *body) = [row for row in sheet.rows if not row.is_comment]
+    names = list(map(unguard_formula, first.fields[1:]))
     missing = [name for name in wanted if name not in names]
-    if missing or [plain(row.fields[0]) for row in body] != names:
-        what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
+    if missing or [unguard_formula(row.fields[0]) for row in body] != names:
+        what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("has rows whose length differs from the header", file=path)

@@ -2,44 +2,46 @@
 
 import numpy as np
 
-from ltsim.core.units import EARTH, MILLIMETRE
+from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
-MIN_CURVATURE = 0.1
+MIN_CURVATURE_SIGMAS = 0.1
 """Angle of the earth's curvature over a line of sight, in sigma of its elevation, from which it is modelled."""
 
-REFRACTION = 0.13, 0.1
+DEFAULT_REFRACTION = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
 deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
 """
 
 
-def on_round_earth(recording: Recording) -> Recording:
+def with_earth_curvature(recording: Recording) -> Recording:
     """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
 
     Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
-    `MIN_CURVATURE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
+    `MIN_CURVATURE_SIGMAS` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
     """
     setup = recording.setup
     levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
     if "curved" in setup.model_fields_set or not levelled.any():
         return recording
     length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
-    angle = float(np.nanmax(length / (2.0 * EARTH) / recording.sigma()[:, 2], initial=0.0))
-    if not angle > MIN_CURVATURE:
+    angle = float(np.nanmax(length / (2.0 * EARTH_RADIUS) / recording.sigma()[:, 2], initial=0.0))
+    if not angle > MIN_CURVATURE_SIGMAS:
         return recording
     changes: dict[str, object] = {"curved": True}
     longest = float(np.nanmax(length))
-    drop = longest**2 / (2.0 * EARTH) / MILLIMETRE
+    drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
         f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
         f"the plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
     )
-    if setup.refraction is None and sum(REFRACTION) * angle > MIN_CURVATURE:
-        changes["refraction"] = REFRACTION
+    if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle > MIN_CURVATURE_SIGMAS:
+        changes["refraction"] = DEFAULT_REFRACTION
         note += (
-            f"; the coefficient of refraction is estimated from {REFRACTION[0]:g} +- {REFRACTION[1]:g}, which "
-            f"bends that sight by {REFRACTION[0] * drop:.2g} +- {REFRACTION[1] * drop:.2g} mm (refraction = [...] in "
+            f"; the coefficient of refraction is estimated from {DEFAULT_REFRACTION[0]:g} +- "
+            f"{DEFAULT_REFRACTION[1]:g}, which "
+            f"bends that sight by {DEFAULT_REFRACTION[0] * drop:.2g} +- {DEFAULT_REFRACTION[1] * drop:.2g} "
+            "mm (refraction = [...] in "
             "setup.toml)"
         )
     return recording.replace(setup=setup.model_copy(update=changes), notes=(*recording.notes, note))

@@ -9,30 +9,36 @@ from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name
 from ltsim.recordings import coordinates, native
-from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace_question, vertical_pointings
-from ltsim.recordings.files import decoded, unix_line_ends
+from ltsim.recordings.conventions import (
+    NO_HINTS,
+    Hints,
+    clock_question,
+    convention_contradictions,
+    vertical_pointings_note,
+)
+from ltsim.recordings.files import decode_head, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.settings import sentence
+from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
-HEAD = 16_384
-MIN_POSES = 2
+HEAD_SIZE = 16_384
+MIN_CONTRADICTORY_ROWS = 2
 """Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
-FOLDER = "folder with observations.csv and setup.toml"
-POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST = "names and coordinates, which are not a recording"
-TABLE = "delimited text with a header, a folder with one file per station, or a workbook"
+NATIVE_FORMAT = "folder with observations.csv and setup.toml"
+POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
+POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
+TABLE_FORMAT = "delimited text with a header, a folder with one file per station, or a workbook"
 
 
-Write = Callable[[Recording, Path], None]
+WriteFunction = Callable[[Recording, Path], None]
 
 
 @dataclass(frozen=True)
-class Format:
+class FileFormat:
     """File format: recognition by the first characters, reader, and writer (if there is one).
 
     `suffixes` decide only between formats that both recognise a file.
@@ -43,40 +49,44 @@ class Format:
     suffixes: tuple[str, ...]
     recognises: Callable[[Path, str], bool]
     read: Callable[[Path, Hints], Recording]
-    write: Write | None = None
+    write: WriteFunction | None = None
 
 
-def _of(module: ModuleType, name: str, about: str, *suffixes: str, write: Write | None = None) -> Format:
-    return Format(name, about, suffixes, module.recognises, module.read, write)
+def _make_format(
+    module: ModuleType, name: str, about: str, *suffixes: str, write: WriteFunction | None = None
+) -> FileFormat:
+    return FileFormat(name, about, suffixes, module.recognises, module.read, write)
 
 
-def _are_points(path: Path, head: str) -> bool:
+def _is_list_of_points(path: Path, head: str) -> bool:
     return path.is_file() and not head.startswith(("<", "PK")) and coordinates.recognises(head)
 
 
-def _refuse_points(path: Path, hints: Hints) -> Recording:
+def _point_list_error(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, strict=False)
     count = len(listed.names)
     message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    if listed.contradictory >= max(count, MIN_POSES):
+    if listed.n_contradictory_rows >= max(count, MIN_CONTRADICTORY_ROWS):
         names = "one name" if count == 1 else f"{count} names"
-        rows = f"{count + listed.contradictory} positions under {names} ('{listed.names[0]}')"
+        rows = f"{count + listed.n_contradictory_rows} positions under {names} ('{listed.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
     raise RecordError(f"{message} ({more})", file=path)
 
 
-FORMATS: tuple[Format, ...] = (
-    Format("native", FOLDER, ("", ".csv"), native.recognises, native.read_recording, native.write_recording),
-    _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
-    _of(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
-    _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
-    _of(openindy, "openindy", "OpenIndy project", ".xml"),
-    _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
-    _of(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
-    _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
-    Format("point-list", POINT_LIST, (".txt", ".xyz", ".csv"), _are_points, _refuse_points),
-    _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
+FORMATS: tuple[FileFormat, ...] = (
+    FileFormat("native", NATIVE_FORMAT, ("", ".csv"), native.recognises, native.read_recording, native.write_recording),
+    _make_format(
+        spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"
+    ),
+    _make_format(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
+    _make_format(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
+    _make_format(openindy, "openindy", "OpenIndy project", ".xml"),
+    _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
+    _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
+    _make_format(polar_text, "polar-text", POLAR_TEXT_FORMAT, ".txt", ".dat", ".asc", write=polar_text.write),
+    FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _point_list_error),
+    _make_format(tables, "table", TABLE_FORMAT, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 
 
@@ -100,42 +110,49 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     path = Path(path)
     hints = hints or NO_HINTS
     format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
-    chosen = recognised(path) if format is None else _named(format, FORMATS)
+    chosen = recognise_format(path) if format is None else _format_by_name(format, FORMATS)
     try:
         recording = chosen.read(path, hints)
     except ValidationError as problem:
-        raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    notes = *recording.notes, *contradictions(recording), *pace_question(recording), *vertical_pointings(recording)
+        raise RecordError(validation_sentence(problem.errors()[0], Setup), file=path) from None
+    notes = (
+        *recording.notes,
+        *convention_contradictions(recording),
+        *clock_question(recording),
+        *vertical_pointings_note(recording),
+    )
     return recording.replace(notes=notes)
 
 
 def is_recording(path: Path) -> bool:
     """True if a file or folder is in one of the supported formats."""
     try:
-        recognised(path)
+        recognise_format(path)
     except RecordError:
         return False
     return True
 
 
-def recording_of(source: RecordingSource) -> Recording:
+def load_recording(source: RecordingSource) -> Recording:
     """Recording of a source, read from its path if necessary; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
 
 
-def recognised(path: Path) -> Format:
+def recognise_format(path: Path) -> FileFormat:
     """Format of a file or folder; raises RecordError if it does not exist or has no supported format."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
-    if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
+    if not (path / native.OBSERVATIONS_FILE).is_file() and (
+        inside := sorted(path.glob(f"*/{native.OBSERVATIONS_FILE}"))
+    ):
         raise RecordError(f"is not a recording, but contains {len(inside)}; give {inside[0].parent}", file=path)
     head = ""
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = unix_line_ends(decoded(stream.read(HEAD)))
+                head = with_unix_line_ends(decode_head(stream.read(HEAD_SIZE)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in FORMATS if f.recognises(path, head)]
@@ -151,12 +168,12 @@ def write(recording: Recording, path: Path | str, format: str = "native") -> Non
     Raises RecordError if the format cannot represent it or the path cannot be written; no partial file remains.
     """
     able = tuple(f for f in FORMATS if f.write is not None)
-    writer = _named(format, able).write
+    writer = _format_by_name(format, able).write
     if writer is not None:
         writer(recording, Path(path))
 
 
-def _named(name: str, formats: tuple[Format, ...]) -> Format:
+def _format_by_name(name: str, formats: tuple[FileFormat, ...]) -> FileFormat:
     by_name = {f.name: f for f in formats}
     if name not in by_name:
         raise RecordError(str(unknown_name("format", name, by_name)))

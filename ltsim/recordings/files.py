@@ -11,24 +11,26 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
 from ltsim.core.storage import write_files
 
-MAX_NAME = 100
+MAX_NAME_LENGTH = 100
 MAX_NUMBER_LENGTH = 40
-MAX_TEXT, TITLE = 500, 120
-UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
-_OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
-NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
-_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
-_FORBIDDEN = re.compile(r"[<>/\\]")
+MAX_TEXT_LENGTH = 500
+MAX_TITLE_LENGTH = 120
+UTF8_MARK = b"\xef\xbb\xbf"
+UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_UNDEFINED_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
+NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+_NOT_FINITE_PATTERN = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_FORBIDDEN_CHARACTERS = re.compile(r"[<>/\\]")
 
 
-def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
-    """Content of a file of at most `most` bytes.
+def read_bytes(path: Path, max_bytes: int = FILE_BYTES) -> bytes:
+    """Content of a file of at most `max_bytes` bytes.
 
     Raises RecordError when it is missing, a folder, unreadable, empty or too large.
     """
     try:
         with path.open("rb") as stream:
-            content = stream.read(most + 1)
+            content = stream.read(max_bytes + 1)
     except FileNotFoundError:
         raise RecordError("there is no such file", file=path) from None
     except IsADirectoryError:
@@ -36,34 +38,34 @@ def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
-    if len(content) > most:
-        raise RecordError(f"is larger than {most // MIB} MiB, the limit for reading", file=path)
+    if len(content) > max_bytes:
+        raise RecordError(f"is larger than {max_bytes // MIB} MiB, the limit for reading", file=path)
     if not content.strip():
         raise RecordError("is empty", file=path)
     return content
 
 
-def decoded(content: bytes) -> str:
+def decode_head(content: bytes) -> str:
     """Text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1.
 
     An incomplete last character is dropped.
     """
-    if content.startswith(UTF16):
+    if content.startswith(UTF16_MARKS):
         return content.decode("utf-16", errors="replace")
     try:
         return codecs.getincrementaldecoder("utf-8-sig")().decode(content)
     except UnicodeDecodeError:
-        return content.removeprefix(UTF8).decode("latin-1")
+        return content.removeprefix(UTF8_MARK).decode("latin-1")
 
 
-def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> str:
-    """Text of a file of at most `most` bytes, in UTF-8 or UTF-16.
+def read_text(path: Path, *, liberal: bool = False, max_bytes: int = FILE_BYTES) -> str:
+    """Text of a file of at most `max_bytes` bytes, in UTF-8 or UTF-16.
 
     With `liberal` any other encoding is read as Windows-1252.
     """
-    content = read_bytes(path, most)
-    if content.startswith(UTF16):
-        content = decoded(content).encode()
+    content = read_bytes(path, max_bytes)
+    if content.startswith(UTF16_MARKS):
+        content = decode_head(content).encode()
     elif b"\x00" in content[1:2] and liberal:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
@@ -72,7 +74,7 @@ def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> s
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         if liberal:
-            return content.decode("latin-1" if _OPEN & {*content} else "cp1252")
+            return content.decode("latin-1" if _UNDEFINED_BYTES & {*content} else "cp1252")
         line = content[: problem.start].count(b"\n") + 1
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
@@ -82,7 +84,7 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
 
     Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
     """
-    text = unix_line_ends(read_text(path, liberal=liberal))
+    text = with_unix_line_ends(read_text(path, liberal=liberal))
     if text.count("\n") > LINES:
         raise RecordError(f"has more than {LINES} lines, the limit for reading", file=path)
     lines = text.split("\n")
@@ -92,22 +94,22 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     return lines
 
 
-def unix_line_ends(text: str) -> str:
+def with_unix_line_ends(text: str) -> str:
     """Text with all line breaks converted to those of Unix."""
     return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
 
 
 def is_number(text: str) -> bool:
     """True if `text` is a decimal number in plain ASCII."""
-    return len(text) <= MAX_NUMBER_LENGTH and NUMBER.fullmatch(text) is not None
+    return len(text) <= MAX_NUMBER_LENGTH and NUMBER_PATTERN.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
     """True if `text` spells NaN or infinity."""
-    return len(text) <= 10 and _NOT_FINITE.fullmatch(text) is not None
+    return len(text) <= 10 and _NOT_FINITE_PATTERN.fullmatch(text) is not None
 
 
-def shown(text: str, length: int = 40) -> str:
+def quoted_text(text: str, length: int = 40) -> str:
     """`text` in a form for a one-line message: printable and short."""
     clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
     return clean if len(clean) <= length else clean[:length] + "..."
@@ -134,10 +136,10 @@ class SourceLocation:
         if not is_number(text):
             wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
             hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
-            raise self.error(f"found '{shown(text)}', {wanted}{hint}", column)
+            raise self.error(f"found '{quoted_text(text)}', {wanted}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
-            raise self.error(f"found {shown(text)}, expected a number of at most {limit:g} in size", column)
+            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in size", column)
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:
@@ -146,38 +148,40 @@ class SourceLocation:
         Names are used in tables, pages and paths; therefore control characters, markup and path separators are refused.
         """
         if not name or name != name.strip():
-            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a space"
+            what = "is empty" if not name.strip() else f"'{quoted_text(name)}' begins or ends with a space"
             raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
-        if len(name) > MAX_NAME:
-            reason = f"is longer than {MAX_NAME} characters"
+        if len(name) > MAX_NAME_LENGTH:
+            reason = f"is longer than {MAX_NAME_LENGTH} characters"
         elif not name.isprintable():
             reason = "holds a control character"
-        elif forbidden := _FORBIDDEN.search(name):
+        elif forbidden := _FORBIDDEN_CHARACTERS.search(name):
             reason = f"holds '{forbidden.group()}'; a name may not contain < > / or \\"
         elif name in (".", ".."):
             reason = "is the name of a folder"
         if reason:
-            raise self.error(f"the name of a {kind}, '{shown(name)}', {reason}", column)
+            raise self.error(f"the name of a {kind}, '{quoted_text(name)}', {reason}", column)
         return name
 
     def text(self, text: str, column: str | None = None) -> str:
         """The text, checked as a short line without control characters or markup; raises RecordError."""
         markup = "<" in text or ">" in text or not text.isprintable()
-        if len(text) > MAX_TEXT or markup:
-            reason = "contains control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
-            raise self.error(f"the text '{shown(text)}' {reason}", column)
+        if len(text) > MAX_TEXT_LENGTH or markup:
+            reason = (
+                "contains control characters or markup" if markup else f"is longer than {MAX_TEXT_LENGTH} characters"
+            )
+            raise self.error(f"the text '{quoted_text(text)}' {reason}", column)
         return text
 
 
-def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
+def parse_comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
     """Number as of `SourceLocation.number`, with a decimal point or comma."""
     return SourceLocation(file, row, column).number(text, comma=True)
 
 
 def as_title(text: str) -> str:
     """Title from a foreign file as one line of limited length."""
-    line = textwrap.shorten(text, TITLE, placeholder=" ...")
+    line = textwrap.shorten(text, MAX_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 

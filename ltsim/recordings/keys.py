@@ -13,42 +13,42 @@ if TYPE_CHECKING:
     from ltsim.core.arrays import Floats
 
 
-def _nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+def _require_nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     if not max(abs(component) for component in vector) > MIN_VECTOR_LENGTH:
         raise ValueError("a direction should not have length zero")
     return vector
 
 
-def _not_tiny(value: float) -> float:
+def _require_not_tiny(value: float) -> float:
     if value < MIN_POSITIVE:
         raise ValueError(f"it should be at least {MIN_POSITIVE:g}")
     return value
 
 
-def _single_line(text: str) -> str:
+def _require_single_line(text: str) -> str:
     if not text.isprintable():
         raise ValueError("it should be one line of printable text")
     return text
 
 
-def _calendar_date(text: str) -> str:
+def _require_calendar_date(text: str) -> str:
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
         raise ValueError("it should be a date such as 2026-05-31") from None
 
 
-def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
+def _require_positive_definite(entries: tuple[float, ...]) -> tuple[float, ...]:
     import numpy as np  # help of a verb need not wait for it
 
-    matrix = symmetric(entries)
+    matrix = symmetric_matrix(entries)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE:
+    if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE:
         raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
     return entries
 
 
-def symmetric(entries: tuple[float, ...]) -> Floats:
+def symmetric_matrix(entries: tuple[float, ...]) -> Floats:
     """Symmetric matrix (3, 3) from its upper triangle xx, xy, xz, yy, yz, zz."""
     import numpy as np
 
@@ -57,7 +57,7 @@ def symmetric(entries: tuple[float, ...]) -> Floats:
     return matrix + np.triu(matrix, 1).T
 
 
-MIN_EIGENVALUE = 1e-9
+MIN_CORRELATION_EIGENVALUE = 1e-9
 """Smallest eigenvalue of a correlation matrix that counts as positive."""
 MIN_VECTOR_LENGTH = 1e-6
 """Length below which a vector has no usable direction."""
@@ -67,18 +67,20 @@ MIN_POSITIVE = 1e-9
 """Smallest permitted value of a positive number, in the unit of its key, because results are divided by it and by its
 square.
 """
-Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_not_tiny)]
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_not_tiny)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Line = Annotated[str, Field(max_length=200), AfterValidator(_single_line)]
-Date = Annotated[str, AfterValidator(_calendar_date)]
+Line = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
+Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6
 """Smallest permitted standard deviation [mm, arcsec, ppm]: below it weights lose their digits."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
-Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
-Direction = Annotated[Vector, AfterValidator(_nonzero)]
+Covariance = Annotated[
+    tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_require_positive_definite)
+]
+Direction = Annotated[Vector, AfterValidator(_require_nonzero)]
 EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma [arcsec] for formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
 

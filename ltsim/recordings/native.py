@@ -13,20 +13,20 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import FIELDS
-from ltsim.core.results import guarded, plain
-from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE, NAMED
+from ltsim.core.results import guard_formula, unguard_formula
+from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
     MAX_NUMBER_LENGTH,
-    NUMBER,
+    NUMBER_PATTERN,
     SourceLocation,
     is_not_finite,
     is_number,
+    quoted_text,
     read_lines,
-    shown,
     write_texts,
 )
-from ltsim.recordings.pointings import indices
+from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (
     KIND_COLUMN,
     MODE_COLUMN,
@@ -36,20 +36,21 @@ from ltsim.recordings.recording import (
     Recording,
 )
 from ltsim.recordings.references import ReferenceLengths, check_differences
-from ltsim.recordings.reflectors import excess_radii, smrs_of
-from ltsim.recordings.settings import read_setup, setup_from, setup_to_toml
+from ltsim.recordings.reflectors import excess_radii, smr_names
+from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import deviating_keys
-from ltsim.recordings.tables.sheets import Row, is_folder
-from ltsim.recordings.transcription_errors import check_degrees
+from ltsim.recordings.tables.sheets import SheetRow, is_table_folder
+from ltsim.recordings.transcription_errors import require_degrees_and_millimetres
 
-OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
-REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
-MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
-BASIC = (*REQUIRED, "repeat", "time_s")
-WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
-TEXTS = (*WORDS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
-BOUNDS = {
+OBSERVATIONS_FILE = "observations.csv"
+SETUP_FILE = "setup.toml"
+REQUIRED_COLUMNS = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
+READING_COLUMNS = ("distance_mm", "azimuth_deg", "elevation_deg")
+BASIC_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
+WORD_COLUMNS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+TEXT_COLUMNS = (*WORD_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
+COLUMN_BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
     "elevation_deg": (-90.0, 270.0),
@@ -59,16 +60,16 @@ BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
-OTHERS = ("k", "f", "pa", "bar", "inch")
+OTHER_COLUMN_BOUNDS = ("k", "f", "pa", "bar", "inch")
 
 
-REPEATED = 10_000
+INTERNED_TEXTS = 10_000
 """Texts of cells that are kept once where they occur again, such as names."""
 
 
 def recognises(path: Path, head: str) -> bool:
     """True for a recording folder or its `observations.csv`."""
-    return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
+    return (path.is_dir() and not is_table_folder(path)) or path.name == OBSERVATIONS_FILE
 
 
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -77,17 +78,17 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     For a recording that is still growing (`hints.incomplete_tail`) an incomplete last row is ignored, and targets of
     reference lengths may be missing. Azimuths that `hints` declares clockwise are reversed.
     """
-    folder = path.parent if path.name == OBSERVATIONS else path
+    folder = path.parent if path.name == OBSERVATIONS_FILE else path
     if not folder.is_dir():
-        message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
+        message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    rows = _table(folder / OBSERVATIONS, incomplete_tail=hints.incomplete_tail)
-    recording = parse(rows, read_setup(folder / SETUP), folder, incomplete_tail=hints.incomplete_tail)
+    rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
+    recording = parse(rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
 
-def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
+def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     """Header and rows of the table, all of equal length."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
@@ -98,16 +99,16 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
         )
     rows, texts = list[list[str]](), dict[str, str]()
     try:
-        for fields in csv.reader(_released(lines), strict=True):
+        for fields in csv.reader(_release_lines(lines), strict=True):
             cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
-            if len(texts) < REPEATED:
+            if len(texts) < INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
                 if len(cells) > FIELDS:
                     raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
                 rows.append(cells)
                 if len(cells) != len(rows[0]):
-                    Row(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
+                    SheetRow(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
     except csv.Error as problem:
         raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
@@ -115,7 +116,7 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     return rows
 
 
-def _released(lines: list[str]) -> Iterator[str]:
+def _release_lines(lines: list[str]) -> Iterator[str]:
     """The lines in order; each is removed from the list, so that their memory becomes free."""
     lines.reverse()
     while lines:
@@ -124,23 +125,28 @@ def _released(lines: list[str]) -> Iterator[str]:
 
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """Recording from the header and rows of its table; `folder` is named in errors."""
-    file = folder / OBSERVATIONS
-    header = list(map(plain, rows[0]))
+    file = folder / OBSERVATIONS_FILE
+    header = list(map(unguard_formula, rows[0]))
     _check_header(header, file)
-    columns = {name: list(map(plain, column)) for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)}
-    stations, station = indices(columns["station"], "station", file)
-    targets, target = indices(columns["target"], "target", file)
+    columns = {
+        name: list(map(unguard_formula, column))
+        for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)
+    }
+    stations, station = index_names(columns["station"], "station", file)
+    targets, target = index_names(columns["target"], "target", file)
     count = len(rows) - 1
-    face = _whole(columns["face"], SourceLocation(file, column="face"), (1, 2))
+    face = _integer_column(columns["face"], SourceLocation(file, column="face"), (1, 2))
     repeat = columns.get("repeat", ["1"] * count)
     time = columns.get("time_s", list(map(str, range(count))))
-    measured = np.stack([_floats(columns[name], SourceLocation(file, column=name)) for name in MEASURED], axis=1)
+    measured = np.stack(
+        [_float_column(columns[name], SourceLocation(file, column=name)) for name in READING_COLUMNS], axis=1
+    )
     nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(nothing):
         message = "the row has no reading, expected an azimuth, an elevation or a distance"
         raise SourceLocation(file, int(nothing[0]) + 1).error(message)
-    check_degrees(measured, station, target, face, file)
-    covariates, labels = _further(columns, file)
+    require_degrees_and_millimetres(measured, station, target, face, file)
+    covariates, labels = _additional_columns(columns, file)
     recording = Recording(
         setup=setup,
         stations=stations,
@@ -148,18 +154,18 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
         station=station,
         target=target,
         face=face,
-        repeat=_whole(repeat, SourceLocation(file, column="repeat"), (1, 1_000_000)),
-        time=_floats(time, SourceLocation(file, column="time_s"), optional=False),
+        repeat=_integer_column(repeat, SourceLocation(file, column="repeat"), (1, 1_000_000)),
+        time=_float_column(time, SourceLocation(file, column="time_s"), optional=False),
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
         has_clock="time_s" in columns,
     )
     if not incomplete_tail:
-        _check_gauge(recording, folder / SETUP)
-        check_differences(recording, folder / SETUP)
-    _check_smrs(recording, folder)
-    return recording.replace(notes=_idle_settings(recording))
+        _require_valid_gauge(recording, folder / SETUP_FILE)
+        check_differences(recording, folder / SETUP_FILE)
+    _require_declared_smrs(recording, folder)
+    return recording.replace(notes=_unused_settings_notes(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
@@ -174,34 +180,38 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         if name in header[:i]:
             raise where.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
-        right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
-        if right is not None and unit.lower() in (*NAMED, *FACTOR, *OTHERS) and name not in BOUNDS:
+        right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
+        if (
+            right is not None
+            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *OTHER_COLUMN_BOUNDS)
+            and name not in COLUMN_BOUNDS
+        ):
             raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
-    for name in REQUIRED:
+    for name in REQUIRED_COLUMNS:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
-            hint = f" ('{shown(near[0])}' looks like it)" if near else ""
+            hint = f" ('{quoted_text(near[0])}' looks like it)" if near else ""
             raise where.error(f"the required column {name} is missing{hint}")
 
 
-def _whole(column: list[str], where: SourceLocation, bounds: tuple[int, int]) -> Ints:
+def _integer_column(column: list[str], where: SourceLocation, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
     numbers: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise replace(where, row=column.index(text) + 1).error(f"found '{shown(text)}', expected {wanted}")
+            raise replace(where, row=column.index(text) + 1).error(f"found '{quoted_text(text)}', expected {wanted}")
         numbers[text] = int(text)
     return np.array([numbers[text] for text in column], dtype=np.int64)
 
 
-def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
+def _float_column(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
     """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
-    low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
+    low, high = COLUMN_BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
     filled = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled]
-    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER.fullmatch, texts)):
+    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
         values[filled] = list(map(float, texts))
         if np.all((values[filled] >= low) & (values[filled] <= high)):
             return values
@@ -210,54 +220,58 @@ def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) 
         values[i] = here.number(column[i], limit=1e15)
         if not low <= values[i] <= high:
             hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
-            raise here.error(f"found {shown(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+            raise here.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return values
 
 
-def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
+def _additional_columns(
+    columns: dict[str, list[str]], file: Path
+) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
     """Additional columns: numeric ones as covariates, the others as labels."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
-        if name in BASIC:
+        if name in BASIC_COLUMNS:
             continue
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
-        if (numeric or name in BOUNDS) and name not in TEXTS:
-            covariates[name] = _floats(column, SourceLocation(file, column=name))
+        if (numeric or name in COLUMN_BOUNDS) and name not in TEXT_COLUMNS:
+            covariates[name] = _float_column(column, SourceLocation(file, column=name))
             continue
         for i, text in enumerate(column):
             where = SourceLocation(file, i + 1, name)
             where.text(text)
-            if name in WORDS and text not in WORDS[name]:
-                raise where.error(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
+            if name in WORD_COLUMNS and text not in WORD_COLUMNS[name]:
+                raise where.error(
+                    f"found '{quoted_text(text)}', expected {' or '.join(filter(None, WORD_COLUMNS[name]))}"
+                )
         labels[name] = tuple(column)
     return covariates, labels
 
 
-def _check_gauge(recording: Recording, file: Path) -> None:
+def _require_valid_gauge(recording: Recording, file: Path) -> None:
     for i, line in enumerate(recording.gauge.distance):
         for name in (line.from_, line.to):
             if name not in recording.targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
                 where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-                raise where.error(f"the target '{shown(name)}' was never measured{hint}")
-    ReferenceLengths.of(recording, file)
+                raise where.error(f"the target '{quoted_text(name)}' was never measured{hint}")
+    ReferenceLengths.from_recording(recording, file)
 
 
-def _check_smrs(recording: Recording, folder: Path) -> None:
+def _require_declared_smrs(recording: Recording, folder: Path) -> None:
     """Check of SMRs with radii: every pointing has one of them, and its nest has a normal where one is needed."""
-    excess_radii(recording, folder / SETUP)
-    names = smrs_of(recording)
+    excess_radii(recording, folder / SETUP_FILE)
+    names = smr_names(recording)
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
         message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
-        raise SourceLocation(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).error(message)
+        raise SourceLocation(folder / OBSERVATIONS_FILE, row + 1, REFLECTOR_COLUMN).error(message)
 
 
-def _idle_settings(recording: Recording) -> tuple[str, ...]:
+def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     """Notes on settings without effect: stations, marks and points without pointings, unused radii or data sheets."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
@@ -265,21 +279,22 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         over = recording.station_setup(name).over
         if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
             notes.append(
-                f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
-                f"it has no effect{_near(over, recording.targets)}"
+                f"stations.{name}.over names '{quoted_text(over)}', which no pointing and no other set-up names: "
+                f"it has no effect{_similar_names(over, recording.targets)}"
             )
     notes += [
-        f"stations.{name} was never measured: it has no effect{_near(name, recording.stations)}"
+        f"stations.{name} was never measured: it has no effect{_similar_names(name, recording.stations)}"
         for name in setup.stations
         if name not in recording.stations
     ]
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
-            notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
+            notes.append(f"targets.{name} is known but was never measured{_similar_names(name, recording.targets)}")
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(
-                f"targets.{name} is of the datum, but left out: it was never measured{_near(name, recording.targets)}"
+                f"targets.{name} is of the datum, but left out: it was never "
+                f"measured{_similar_names(name, recording.targets)}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := deviating_keys(entry):
@@ -291,7 +306,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _near(name: str, names: Iterable[str]) -> str:
+def _similar_names(name: str, names: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
     return f"; did you mean {', '.join(near)}?" if near else ""
 
@@ -311,34 +326,34 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
     Raises RecordError when it holds names or values that could not be read back.
     """
-    rows, toml = table_of(recording), setup_to_toml(recording.setup)
-    setup_from(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP)
+    rows, toml = observation_table(recording), setup_to_toml(recording.setup)
+    validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
     parse(rows, recording.setup, path)
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
-    return {OBSERVATIONS: stream.getvalue(), SETUP: toml}
+    return {OBSERVATIONS_FILE: stream.getvalue(), SETUP_FILE: toml}
 
 
-def table_of(recording: Recording) -> list[list[str]]:
+def observation_table(recording: Recording) -> list[list[str]]:
     """Header and rows of `observations.csv`."""
     polar = recording.readings
     columns: dict[str, Sequence[str]] = {
-        "station": [guarded(recording.stations[i]) for i in recording.station],
-        "target": [guarded(recording.targets[i]) for i in recording.target],
+        "station": [guard_formula(recording.stations[i]) for i in recording.station],
+        "target": [guard_formula(recording.targets[i]) for i in recording.target],
         "face": [str(f) for f in recording.face],
         "repeat": [str(r) for r in recording.repeat],
     }
     if recording.has_clock:
-        columns["time_s"] = _texts(recording.time)
-    columns["azimuth_deg"] = _texts(polar[:, 1], DEGREE, 9)
-    columns["elevation_deg"] = _texts(polar[:, 2], DEGREE, 9)
-    columns["distance_mm"] = _texts(polar[:, 0], MILLIMETRE, 6)
-    columns |= {name: _texts(values) for name, values in recording.covariates.items()}
-    columns |= {name: [guarded(text) for text in labels] for name, labels in recording.labels.items()}
-    return [list(map(guarded, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
+        columns["time_s"] = _number_texts(recording.time)
+    columns["azimuth_deg"] = _number_texts(polar[:, 1], DEGREE, 9)
+    columns["elevation_deg"] = _number_texts(polar[:, 2], DEGREE, 9)
+    columns["distance_mm"] = _number_texts(polar[:, 0], MILLIMETRE, 6)
+    columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
+    columns |= {name: [guard_formula(text) for text in labels] for name, labels in recording.labels.items()}
+    return [list(map(guard_formula, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
 
 
-def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
+def _number_texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Numbers in `unit` as texts: with `digits` decimals if they are exact then, otherwise with all digits.
 
     It is empty for NaN.

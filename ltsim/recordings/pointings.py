@@ -11,20 +11,20 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.recording import (
-    ENDINGS,
     HEIGHT_COLUMNS,
     KIND_COLUMN,
     OBSERVABLES,
     SIGMA_COLUMNS,
     SIGMA_UNITS,
+    UNIT_SUFFIXES,
     Recording,
-    repeats_of,
+    repeat_numbers,
 )
 from ltsim.recordings.setup import Setup
 
-NAN = float("nan")
-Kind = Literal["distance", "azimuth", "elevation"]
-_UNIT = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
+NOT_MEASURED = float("nan")
+ObservationKind = Literal["distance", "azimuth", "elevation"]
+_UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +34,10 @@ class Pointing:
     station: str
     target: str
     face: int
-    distance: float = NAN
-    azimuth: float = NAN
-    elevation: float = NAN
-    time: float = NAN
+    distance: float = NOT_MEASURED
+    azimuth: float = NOT_MEASURED
+    elevation: float = NOT_MEASURED
+    time: float = NOT_MEASURED
     covariates: dict[str, float] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
     source: str = ""
@@ -60,12 +60,12 @@ class PointingColumns:
     sources: Sequence[str]
 
 
-def numbered(point: str, before: int) -> str:
+def numbered_name(point: str, before: int) -> str:
     """Name of a set-up on a point: the point's name, with a number from the second set-up on."""
     return f"{point}#{before + 1}" if before else point
 
 
-def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
+def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
     """Distinct names in order of appearance, and the index of each entry; raises RecordError for an invalid name."""
     place: dict[str, int] = {}
     index = []
@@ -76,15 +76,15 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
     return tuple(place), np.array(index, dtype=np.int64)
 
 
-def states_noise(recording: Recording) -> bool:
+def declares_noise(recording: Recording) -> bool:
     """True if the recording has columns with the standard deviation of every reading."""
-    sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NAN)
+    sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NOT_MEASURED)
     for k, name in enumerate(SIGMA_COLUMNS):
-        sigmas[:, k] = recording.covariates.get(name, NAN)
+        sigmas[:, k] = recording.covariates.get(name, NOT_MEASURED)
     return bool(np.isfinite(sigmas[recording.measured]).all())
 
 
-def recording_of(
+def recording_of_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
     """Recording of pointings in the order of the file; repeats are numbered.
@@ -101,7 +101,7 @@ def recording_of(
         np.array([p.face for p in pointings], dtype=np.int64),
         np.array([[p.distance, p.azimuth, p.elevation] for p in pointings]),
         np.array([p.time for p in pointings]),
-        {name: np.array([p.covariates.get(name, NAN) for p in pointings]) for name in numbers},
+        {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in numbers},
         {word: [p.labels.get(word, "") for p in pointings] for word in words},
         [p.source for p in pointings],
     )
@@ -111,9 +111,9 @@ def recording_of(
 def recording_of_columns(
     columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording of columns of pointings; repeats are numbered. Raises RecordError as `recording_of` does."""
-    stations, station = indices(columns.station, "station", file)
-    targets, target = indices(columns.target, "target", file)
+    """Recording of columns of pointings; repeats are numbered. Raises RecordError as `recording_of_pointings` does."""
+    stations, station = index_names(columns.station, "station", file)
+    targets, target = index_names(columns.target, "target", file)
     empty = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
     if len(empty):
         raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
@@ -128,7 +128,7 @@ def recording_of_columns(
         station=station,
         target=target,
         face=columns.face,
-        repeat=repeats_of(station, target, columns.face),
+        repeat=repeat_numbers(station, target, columns.face),
         time=columns.time if has_clock else np.arange(len(station), dtype=np.float64),
         readings=columns.readings,
         covariates=dict(columns.covariates),
@@ -140,16 +140,16 @@ def recording_of_columns(
 
 
 @dataclass(frozen=True)
-class Observed:
+class SingleObservation:
     """Single observation: value [m, rad], standard deviation, heights [m] (NaN: not given), and line (0: unknown)."""
 
-    kind: Kind
+    kind: ObservationKind
     station: str
     target: str
     value: float
-    sigma: float = NAN
-    instrument_height: float = NAN
-    target_height: float = NAN
+    sigma: float = NOT_MEASURED
+    instrument_height: float = NOT_MEASURED
+    target_height: float = NOT_MEASURED
     horizontal: bool = False
     line: int = 0
     shared: dict[str, float] = field(default_factory=dict)
@@ -161,18 +161,18 @@ class Observed:
         return self.instrument_height, self.target_height
 
 
-def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
+def merge_observations(observed: Iterable[SingleObservation], file: str) -> list[Pointing]:
     """Pointings from single observations of a station to a target.
 
     The k-th direction, zenith angle and distance at equal heights form one pointing. Standard deviations and heights
     are in columns.
     """
-    rows: list[dict[str, Observed]] = []
-    open_rows: dict[tuple[str, str], list[dict[str, Observed]]] = {}
+    rows: list[dict[str, SingleObservation]] = []
+    open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
     for observation in observed:
         candidates = open_rows.setdefault((observation.station, observation.target), [])
         row = next(
-            (r for r in candidates if observation.kind not in r and _at_equal_heights([*r.values(), observation])), None
+            (r for r in candidates if observation.kind not in r and _group_by_heights([*r.values(), observation])), None
         )
         if row is None:
             row = {}
@@ -184,19 +184,19 @@ def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
     return [_pointing(row, file) for row in rows]
 
 
-def _at_equal_heights(observed: Sequence[Observed]) -> bool:
+def _group_by_heights(observed: Sequence[SingleObservation]) -> bool:
     return all(len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observed), strict=True))
 
 
-def _pointing(row: dict[str, Observed], file: str) -> Pointing:
-    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
+def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
+    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared = {
-        f"shared_{name}_{ENDINGS[OBSERVABLES.index(kind)]}": change / _UNIT[kind]
+        f"shared_{name}_{UNIT_SUFFIXES[OBSERVABLES.index(kind)]}": change / _UNIT_BY_KIND[kind]
         for kind, observation in row.items()
         for name, change in observation.shared.items()
     }
-    over_marks = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
+    over_marks = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
     flat = "distance" in row and row["distance"].horizontal
     lines = sorted({observation.line for observation in row.values() if observation.line})
     first = next(iter(row.values()))
@@ -211,7 +211,9 @@ def _pointing(row: dict[str, Observed], file: str) -> Pointing:
     )
 
 
-def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
+def separate_constant_heights(
+    pointings: Sequence[Pointing],
+) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
     """Pointings without the heights that are constant for a name, and these heights [mm] of stations and of targets.
 
     If the heights of one name differ, all such heights remain in their column.
@@ -222,10 +224,10 @@ def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict
         height_of = dict(values)
         settled = all(height_of[name] == height for name, height in values)
         constant.append({name: height for name, height in height_of.items() if height} if settled else {})
-        pointings = [replace(p, covariates=_without(p.covariates, column, settled=settled)) for p in pointings]
+        pointings = [replace(p, covariates=_without_column(p.covariates, column, settled=settled)) for p in pointings]
     return list(pointings), constant[0], constant[1]
 
 
-def _without(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
+def _without_column(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
     rest = {name: value for name, value in covariates.items() if name != column}
     return rest if settled else {**rest, column: covariates.get(column, 0.0)}

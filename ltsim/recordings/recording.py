@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option
 from ltsim.core.limits import MAX_POINTINGS, max_pointings
-from ltsim.core.results import Columns, Result
+from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
 
@@ -22,11 +22,11 @@ OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
 """Covariates with the standard deviation of single readings; an empty cell means the instrument's noise."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
-ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
+UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
 """Unit suffixes of the columns of each observable."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
-SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")
+SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
 """Pattern of covariates with the change of single readings by one standard deviation of an error that they share."""
 BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that describe the measurement and not its conditions; a diagnosis does not use them as regressors."""
@@ -36,9 +36,9 @@ MODE_COLUMN = "distance_mode"
 """Label of the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
-_PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
-MIN_COSINE = 1e-6
-STEEP = 1e-4
+_DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
+MIN_COS_ELEVATION = 1e-6
+MAX_COS_STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).
 
@@ -57,11 +57,11 @@ def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevat
     rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
     constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
-    across = np.maximum(np.abs(np.cos(elevation)), MIN_COSINE)
+    across = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION)
     return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
 
 
-def repeats_of(station: Ints, target: Ints, face: Ints) -> Ints:
+def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
     """1, 2, ... for every further pointing of one station to one target on one face, (n,)."""
     order = np.lexsort((face, target, station))
     keys = np.stack([station, target, face], axis=1)[order]
@@ -130,10 +130,10 @@ class Recording(Result):
     def _lines(self) -> list[str]:
         return [f"Recording: {self.headline}", *self.notes]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"pointings": self._pointings}
+    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+        return {"pointings": self._pointings_table}
 
-    def _pointings(self) -> Columns:
+    def _pointings_table(self) -> ColumnValues:
         distance, azimuth, elevation = (self.readings / [MILLIMETRE, DEGREE, DEGREE]).T
         return {
             "station": [self.stations[i] for i in self.station],
@@ -165,7 +165,7 @@ class Recording(Result):
     @property
     def vertical(self) -> Bools:
         """Flags (n,) of the pointings along the vertical axis of the tracker, to the zenith or the nadir."""
-        return np.asarray(np.abs(np.cos(self.readings[:, 2])) < STEEP)
+        return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MAX_COS_STEEP)
 
     @cached_property
     def instruments(self) -> tuple[str, ...]:
@@ -181,7 +181,7 @@ class Recording(Result):
         return np.array(of_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
-        name = self.setup.stations.get(station, _PLAIN_STATION).instrument
+        name = self.setup.stations.get(station, _DEFAULT_STATION).instrument
         return name if name is not None and name in self.setup.instruments else ""
 
     def instrument_of(self, station: str) -> Instrument:
@@ -195,11 +195,11 @@ class Recording(Result):
 
     def station_setup(self, station: str) -> Station:
         """Entry of a station in the set-up (defaults where there is none)."""
-        return self.setup.stations.get(station, _PLAIN_STATION)
+        return self.setup.stations.get(station, _DEFAULT_STATION)
 
     def target_setup(self, target: str) -> Target:
         """Entry of a target in the set-up (defaults where there is none)."""
-        return self.setup.targets.get(target, _PLAIN_TARGET)
+        return self.setup.targets.get(target, _DEFAULT_TARGET)
 
     @property
     def gauge(self) -> Gauge:
@@ -234,7 +234,7 @@ class Recording(Result):
         return first, second
 
     @property
-    def circumstances(self) -> Mapping[str, Floats]:
+    def regressor_covariates(self) -> Mapping[str, Floats]:
         """Covariates (n,) that readings may depend on; if both meters were used, also 1 for `ifm`."""
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
         circumstances = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
@@ -275,9 +275,9 @@ class Recording(Result):
             sources=tuple(self.sources[i] for i in keep) if self.sources else (),
         )
 
-    def thinned(self, every: int) -> Recording:
+    def thin(self, every: int) -> Recording:
         """The recording with one of `every` pointings of each sight: of a station to a target on a face."""
-        return self.select((repeats_of(self.station, self.target, self.face) - 1) % every == 0)
+        return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % every == 0)
 
     def require_at_most(self, pointings: int, work: str) -> None:
         """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""

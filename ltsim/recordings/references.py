@@ -10,15 +10,15 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE, PPM
-from ltsim.geometry.expansion import Expansion
-from ltsim.recordings.files import SourceLocation, shown
+from ltsim.geometry.expansion import ThermalExpansion
+from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric
+from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric_matrix
 
-EXPANSION_ERROR = "expansion of "
+EXPANSION_ERROR_PREFIX = "expansion of "
 """Prefix of the name of the expansion error that lengths of one material share."""
-SCALE = "scale of all lengths"
-UNKNOWN_PPM = 1000.0
+SCALE_ERROR_NAME = "scale of all lengths"
+MIN_UNKNOWN_SCALE_PPM = 1000.0
 """Standard deviation [ppm] of the common scale of lengths from which they determine ratios only: 40 K of aluminium."""
 
 
@@ -26,32 +26,35 @@ UNKNOWN_PPM = 1000.0
 class ReferenceLengths:
     """Reference lengths (g) between targets of a recording, with independent errors and errors that several share."""
 
-    first: Ints
-    second: Ints
-    """Indices of the targets at both ends, (g,) each."""
-    factor: Floats
+    first_targets: Ints
+    """Index of the target at the first end of each length, (g,)."""
+    second_targets: Ints
+    """Index of the target at the second end of each length, (g,)."""
+    growth_factors: Floats
     """Growth factor from calibration to use, (g,)."""
-    length: Floats
+    lengths: Floats
     """Length at use, (g,) [m]."""
-    certificate: Floats
+    certificate_sigmas: Floats
     """Standard deviation of the independent error of each length, (g,) [m]."""
-    shared: dict[str, Floats]
+    shared_error_changes: dict[str, Floats]
     """Change of the lengths by one standard deviation of each shared error (expansion coefficient, thermometer), (g,)
     [m] by name.
     """
 
     @classmethod
-    def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
+    def from_recording(cls, recording: Recording, file: object = "setup.toml") -> Self:
         """Lengths whose targets the recording holds; `file` is named in errors.
 
         Raises RecordError when a material is not declared, or a column has no temperature of a length.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
-        grown = [_grown(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
+        grown = [
+            _growth_and_changes(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows
+        ]
         certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
         factor = np.array([growth for growth, _ in grown])
-        common = {SCALE: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
+        common = {SCALE_ERROR_NAME: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
         changes = [change | common for _, change in grown]
         shared = {
             name: certified * np.array([change.get(name, 0.0) for change in changes])
@@ -69,15 +72,19 @@ class ReferenceLengths:
     @property
     def determine_scale(self) -> bool:
         """True if the lengths constrain their common scale."""
-        return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
+        return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
+            np.any(self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_PPM * PPM * self.lengths)
+        )
 
     @property
     def sigma(self) -> Floats:
         """Total standard deviation of each length, (g,) [m]."""
-        return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
+        return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
 
 
-def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> tuple[float, dict[str, float]]:
+def _growth_and_changes(
+    recording: Recording, line: GaugeDistance, where: dict[str, Any]
+) -> tuple[float, dict[str, float]]:
     """Growth factor of a length, and its change by one standard deviation of its coefficient and its thermometer."""
     if line.measured_in_place:
         return 1.0, {}
@@ -85,25 +92,28 @@ def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> 
     materials = gauge.materials or {}
     if line.material is not None and line.material not in materials:
         expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
-        raise RecordError(f"the material '{shown(line.material)}' is not declared, expected {expected}", **where)
+        raise RecordError(f"the material '{quoted_text(line.material)}' is not declared, expected {expected}", **where)
     material = gauge if line.material is None else materials[line.material]
     given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
-    measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
+    measured = _mean_of_column(recording, given, line, where) if isinstance(given, str) else given
     sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
     ends = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
     thermometer = f"temperature of {given if isinstance(given, str) else ends or 'the gauge'}"
-    grown = Expansion.of(
+    grown = ThermalExpansion.from_temperature(
         material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    both = {f"{EXPANSION_ERROR}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
-    return grown.factor, {name: change for name, change in both.items() if change}
+    both = {
+        f"{EXPANSION_ERROR_PREFIX}{line.material or 'the gauge'}": grown.change_by_coefficient,
+        thermometer: grown.change_by_temperature,
+    }
+    return grown.length_ratio, {name: change for name, change in both.items() if change}
 
 
-def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
+def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
     """Mean of a column over the pointings to both ends of a length."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{shown(name)}', which is not a column of numbers; there are {columns}"
+        message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **where)
     ends = [recording.targets.index(target) for target in (line.from_, line.to)]
     values = recording.covariates[name][np.isin(recording.target, ends)]
@@ -113,11 +123,11 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
     return float(np.nanmean(values))
 
 
-MAX_SIGMA_RATIO = 0.1
+MAX_EXACT_SIGMA_RATIO = 0.1
 """Largest ratio of the sigma of an unmeasured mark to that of a difference to it at which the mark counts as exact."""
 
 
-def places_of(recording: Recording) -> dict[str, int]:
+def mark_indices(recording: Recording) -> dict[str, int]:
     """Index of each mark: its target (0 to T - 1), else T plus the first set-up over it.
 
     It is T + S, after T targets and S set-ups, for an unmeasured mark with known coordinates.
@@ -131,23 +141,25 @@ def places_of(recording: Recording) -> dict[str, int]:
 
 def check_differences(recording: Recording, file: object) -> None:
     """Check that each end of a reference difference is measured or known much better; raises RecordError."""
-    places, last = places_of(recording), len(recording.targets) + len(recording.stations)
+    places, last = mark_indices(recording), len(recording.targets) + len(recording.stations)
     for difference in recording.setup.differences:
         for name in (difference.from_, difference.to):
-            if places.get(name, last) == last and not _is_exact(recording.target_setup(name), difference):
+            if places.get(name, last) == last and not _is_exact_mark(recording.target_setup(name), difference):
                 wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
-                message = f"'{shown(name)}' was never measured, expected a mark that was, or one that is {wanted}"
+                message = f"'{quoted_text(name)}' was never measured, expected a mark that was, or one that is {wanted}"
                 raise SourceLocation(file, column=f"difference {difference.called}").error(message)
 
 
-def _is_exact(target: Target, difference: ReferenceDifference) -> bool:
+def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
-    return is_control and bool(_sigmas(target)[axes].max() <= MAX_SIGMA_RATIO * _sigmas(difference)[axes].min())
+    return is_control and bool(
+        _coordinate_sigmas(target)[axes].max() <= MAX_EXACT_SIGMA_RATIO * _coordinate_sigmas(difference)[axes].min()
+    )
 
 
-def _sigmas(reference: Target | ReferenceDifference) -> Floats:
+def _coordinate_sigmas(reference: Target | ReferenceDifference) -> Floats:
     """Standard deviations (3,) [mm] of known coordinates."""
     if reference.known_covariance_mm2 is None:
         return np.full(3, reference.known_sigma_mm)
-    return np.sqrt(np.diag(symmetric(reference.known_covariance_mm2)))
+    return np.sqrt(np.diag(symmetric_matrix(reference.known_covariance_mm2)))

@@ -7,19 +7,19 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import REFLECTOR_COLUMN, Recording
 from ltsim.recordings.setup import Reflector
 
 
-def smrs_of(recording: Recording) -> tuple[str, ...]:
+def smr_names(recording: Recording) -> tuple[str, ...]:
     """Name of the SMR of each pointing, from its row or its target; '' if none is given."""
     usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
     by_row = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
     return tuple(name or usual[target] for name, target in zip(by_row, recording.target, strict=True))
 
 
-def excess_of(
+def excess_radii_of_names(
     names: Sequence[str],
     targets: Sequence[str],
     bare: Collection[str],
@@ -39,10 +39,12 @@ def excess_of(
     for name in used:
         if name not in reflectors:
             names_of_tables = ", ".join(reflectors)
-            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {names_of_tables}", file=file)
+            raise RecordError(
+                f"there is no table [reflectors.{quoted_text(name)}]; reflectors: {names_of_tables}", file=file
+            )
     radii = {reflectors[name].radius_mm: name for name in reversed(used)}
     if reference_mm is None and len(radii) > 1:
-        listed = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
+        listed = " and ".join(f"{quoted_text(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
             f"the SMRs have different radii ({listed} mm); set reference_radius_mm at the head of the file, the "
             "radius of the SMR at whose centre the coordinates lie, or 0 for the seat of the nest",
@@ -53,7 +55,7 @@ def excess_of(
     for name, target in zip(names, targets, strict=True):
         if off[name] and target in bare:
             raise RecordError(
-                f"targets.{target}.nest_normal is missing: its SMR {shown(name)} has a radius of "
+                f"targets.{target}.nest_normal is missing: its SMR {quoted_text(name)} has a radius of "
                 f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
                 "nest's normal",
                 file=file,
@@ -64,14 +66,16 @@ def excess_of(
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
     """Distance (n,) [m] of each pointing's SMR centre from its seat, less that of the reference; None where all are 0.
 
-    Raises RecordError as `excess_of`.
+    Raises RecordError as `excess_radii_of_names`.
     """
     setup = recording.setup
     if not setup.reflectors:
         return None
     targets = [recording.targets[t] for t in recording.target]
     bare = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
-    excess = excess_of(smrs_of(recording), targets, bare, setup.reflectors, setup.reference_radius_mm, file)
+    excess = excess_radii_of_names(
+        smr_names(recording), targets, bare, setup.reflectors, setup.reference_radius_mm, file
+    )
     return excess if np.any(excess) else None
 
 

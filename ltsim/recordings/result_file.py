@@ -29,10 +29,10 @@ from pydantic_core import CoreSchema
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import JSON_VALUES
-from ltsim.core.results import LARGEST, Result
+from ltsim.core.results import MAX_MAGNITUDE, Result
 from ltsim.core.values import equal_values
-from ltsim.recordings.coordinates import Coordinates
-from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
+from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
 from ltsim.recordings.recording import Recording
 
 DIGEST_STEP = 1e-6
@@ -46,9 +46,12 @@ def finite_or_none(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _not_zero(value: Any) -> Any:
-    """The number or numbers, checked to contain one of at least `SMALLEST` in magnitude; raises ValueError."""
-    if not np.max(np.abs(value)) >= SMALLEST:
+def _require_not_zero(value: Any) -> Any:
+    """The number or numbers, checked to contain one of at least `MIN_NONZERO_MAGNITUDE` in magnitude.
+
+    Raises ValueError.
+    """
+    if not np.max(np.abs(value)) >= MIN_NONZERO_MAGNITUDE:
         raise ValueError("Input should not be zero")
     return value
 
@@ -58,12 +61,12 @@ OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 """A number, or null if there is none, because JSON has neither NaN nor infinities."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
-SMALLEST = 1.0 / LARGEST
+MIN_NONZERO_MAGNITUDE = 1.0 / MAX_MAGNITUDE
 """Smallest magnitude of a number that must not be zero, so that the square of its reciprocal is finite."""
-Positive = Annotated[Finite, Field(gt=0), AfterValidator(_not_zero)]
-NonZero = Annotated[Finite, AfterValidator(_not_zero)]
+Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
+NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]
 Vector = tuple[Finite, Finite, Finite]
-Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_not_zero)]
+Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_require_not_zero)]
 """Rotation x, y, z, w of any length except 0."""
 
 
@@ -100,7 +103,7 @@ class Entry(DescribedModel):
 class SourceEntry(Entry):
     """Recording from which a result was computed.
 
-    `digest` is the one of `digest_of`; the title is for display.
+    `digest` is the one of `recording_digest`; the title is for display.
     """
 
     title: str = ""
@@ -113,13 +116,13 @@ class SourceEntry(Entry):
     """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
 
     @classmethod
-    def of(cls, recording: Recording) -> SourceEntry:
+    def from_recording(cls, recording: Recording) -> SourceEntry:
         """Entry for a recording."""
         when = {"measured": recording.setup.measured} if recording.setup.measured else {}
-        return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
+        return cls(title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **when)
 
     @classmethod
-    def listed(cls, coordinates: Coordinates) -> SourceEntry:
+    def from_coordinates(cls, coordinates: EpochCoordinates) -> SourceEntry:
         """Entry for a list of coordinates, whose pointings are unknown."""
         content = (
             "\t".join((*coordinates.names, coordinates.axes)).encode()
@@ -160,7 +163,7 @@ class ResultFile(Entry, Result):
         """Text of the JSON file."""
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
-    def owns(self, folder: Path, name: str) -> bool:
+    def is_ltsim_file(self, folder: Path, name: str) -> bool:
         """True if a file in the result's folder was written together with the result; raises RecordError."""
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
@@ -169,7 +172,7 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def digest_of(recording: Recording) -> str:
+def recording_digest(recording: Recording) -> str:
     """Digest of stations, targets and faces, and of the readings rounded to a micrometre and a microradian."""
     readings = recording.readings
     steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
@@ -181,10 +184,10 @@ def digest_of(recording: Recording) -> str:
     return _digest("\n".join(names).encode() + whole.tobytes())
 
 
-File = TypeVar("File", bound=ResultFile)
+ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 
 
-def write_result(folder: Path, result: File, companions: Mapping[str, str | bytes]) -> File:
+def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
     """Writing of a result and its companion files; returns the result with their digests.
 
     Raises RecordError if the folder cannot be written to; no partial files remain.
@@ -195,21 +198,21 @@ def write_result(folder: Path, result: File, companions: Mapping[str, str | byte
     return written
 
 
-def read_result(path: Path, model: type[File]) -> File:
+def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     """Result read from its file (or folder) and validated against its model; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
     content = read_json(file, model.FILE)
     version = content.get("format")
     expected = model.model_fields["format"].default
     if version != expected:
-        raise RecordError(f"format is '{shown(str(version))}', expected '{expected}'", file=file)
+        raise RecordError(f"format is '{quoted_text(str(version))}', expected '{expected}'", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
         error = problem.errors()[0]
         key = "".join(f"{part}." for part in error["loc"])[:-1]
-        wrong = shown(error["msg"].removeprefix("Value error, "), 120)
-        raise RecordError(f"{shown(key, 100)}: {wrong}" if key else wrong, file=file) from None
+        wrong = quoted_text(error["msg"].removeprefix("Value error, "), 120)
+        raise RecordError(f"{quoted_text(key, 100)}: {wrong}" if key else wrong, file=file) from None
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:
@@ -220,8 +223,10 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
     def checked_number(text: str, kind: Callable[[str], float]) -> float:
         value = kind(text) if len(text) <= 400 else math.inf
-        if not abs(value) <= LARGEST:
-            raise RecordError(f"contains the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
+        if not abs(value) <= MAX_MAGNITUDE:
+            raise RecordError(
+                f"contains the number {quoted_text(text)}, expected at most {MAX_MAGNITUDE:g} in size", file=file
+            )
         return value
 
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
@@ -237,7 +242,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     return content
 
 
-def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
+def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
     """Path of the companion file `name` of a result; None if there is none.
 
     Raises RecordError when it was not written together with the result.
@@ -245,7 +250,7 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
     file = folder / name
     if not file.is_file():
         return None
-    if result.files and not result.owns(folder, name):
+    if result.files and not result.is_ltsim_file(folder, name):
         raise RecordError(
             f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,
@@ -253,12 +258,12 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
     return file
 
 
-def check_source(result: ResultFile, recording: Recording | None, folder: Path) -> None:
+def require_same_recording(result: ResultFile, recording: Recording | None, folder: Path) -> None:
     """Check that a recording is the one from which a result was computed; raises RecordError."""
     source = result.recording
-    if recording is None or source is None or source.digest == digest_of(recording):
+    if recording is None or source is None or source.digest == recording_digest(recording):
         return
-    title = f"'{shown(source.title)}', " if source.title else ""
+    title = f"'{quoted_text(source.title)}', " if source.title else ""
     raise RecordError(
         f"is the result of another recording ({title}{source.pointings} pointings) than the one given "
         f"({len(recording)} pointings)",

@@ -14,46 +14,46 @@ from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
 from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
-from ltsim.recordings.files import SourceLocation, read_text, shown, unix_line_ends
+from ltsim.recordings.files import SourceLocation, quoted_text, read_text, with_unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
-Settings = TypeVar("Settings", bound=BaseModel)
-_TOML = re.compile(
+SettingsType = TypeVar("SettingsType", bound=BaseModel)
+_TOML_TOKENS = re.compile(
     r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}|"(?:[^"\\\n]++|\\.)*+"|#[^\n]*+|[][{}=,.\n]'
     r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
     re.DOTALL,
 )
 """Pattern of the tokens of TOML that matter for its limits: strings, comments, and the characters of its structure."""
-_COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
+_COMPLETE_LINE = ("\n", '"', "'", "]", "}", "true", "false")
 
 
 def read_setup(path: Path) -> Setup:
     """Set-up from a `setup.toml`; raises RecordError."""
-    return setup_from(read_toml(path, "set-up"), path)
+    return validate_setup(read_toml(path, "set-up"), path)
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
-    text = unix_line_ends(read_text(path, most=TOML_BYTES))
-    if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
+    text = with_unix_line_ends(read_text(path, max_bytes=TOML_BYTES))
+    if not text.endswith(_COMPLETE_LINE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
-    check_toml(text, path)
+    check_toml_limits(text, path)
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise RecordError(f"is not TOML: {_in_a_line(problem)}", file=path) from None
+        raise RecordError(f"is not TOML: {_single_line(problem)}", file=path) from None
     except RecursionError:
         raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
 
 
-def check_toml(text: str, file: object) -> None:
+def check_toml_limits(text: str, file: object) -> None:
     """Check of the number of keys and the depth of tables in a TOML text, before it is parsed; raises RecordError.
 
     Strings and comments are skipped as in the parser; the parts of a key and the brackets around it count as its depth.
     """
     keys = values = brackets = parts = line = 0
-    for token in _TOML.finditer(text):
+    for token in _TOML_TOKENS.finditer(text):
         mark = token[0]
         values += mark in "=[{,"
         keys += mark in "={" or (mark == "[" and token.start() == line)
@@ -75,15 +75,15 @@ def check_toml(text: str, file: object) -> None:
             raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
-def setup_from(data: Mapping[str, Any], file: object) -> Setup:
+def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
     """Set-up from a table of settings; `file` is named in errors."""
-    whole = with_instruments(data, lambda table, place: _with_sheet(table, place, file))
-    setup = checked(whole, Setup, "set-up", file)
+    whole = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
+    setup = validate_settings(whole, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
-def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+def with_completed_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
     """Tables of a file in which each instrument's table is replaced by `filled(table, place)`."""
     made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
@@ -93,25 +93,28 @@ def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any])
     return made
 
 
-def _with_sheet(table: Any, place: str, file: object) -> Any:
+def _with_data_sheet(table: Any, place: str, file: object) -> Any:
     if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
         return table
-    from ltsim.recordings.specification import figures, tables_from_sheet  # most files name no sheet and need not wait
+    from ltsim.recordings.specification import (  # most files name no sheet and need not wait
+        data_sheet_figures,
+        noise_and_prior_tables,
+    )
 
     try:
-        below = tables_from_sheet(table["sheet"], table)
+        below = noise_and_prior_tables(table["sheet"], table)
     except ModelError as problem:
         raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
-    return merge_defaults({"model": figures(table["sheet"])["name"], **table}, below)
+    return merge_defaults({"model": data_sheet_figures(table["sheet"])["name"], **table}, below)
 
 
-def merge_defaults(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
-    """Table with the entries of `below` as defaults; nested tables are merged recursively."""
-    both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
-    return {**below, **table, **{key: merge_defaults(table[key], below[key]) for key in both}}
+def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Table with the entries of `defaults` as defaults; nested tables are merged recursively."""
+    both = [key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
+    return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in both}}
 
 
-def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
+def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:
     """Tables of a file validated against their model; `kind` is the expected content, `file` is named in errors.
 
     Raises
@@ -127,19 +130,19 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
     except ValidationError as problem:
         errors = problem.errors()
         misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
-        raise RecordError(sentence((misspelt or errors)[0], model), file=file) from None
+        raise RecordError(validation_sentence((misspelt or errors)[0], model), file=file) from None
     except (ValueError, RecursionError):
         raise RecordError(f"contains a value that is not possible in a {kind}", file=file) from None
 
 
-def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
+def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsType:
     """User-written file validated against its model; raises SetupError."""
     with as_setup_error():
-        return checked(read_toml(path, kind), model, kind, path)
+        return validate_settings(read_toml(path, kind), model, kind, path)
 
 
-def _in_a_line(problem: Exception) -> str:
-    return shown(" ".join(str(problem).split()), 160)
+def _single_line(problem: Exception) -> str:
+    return quoted_text(" ".join(str(problem).split()), 160)
 
 
 def _check_names(setup: Setup, file: object) -> None:
@@ -158,83 +161,89 @@ def _check_names(setup: Setup, file: object) -> None:
     for name, station in setup.stations.items():
         wanted = station.instrument
         if wanted is not None and wanted not in setup.instruments:
-            names_of_tables = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
+            names_of_tables = ", ".join(_similar_names(wanted, setup.instruments)) or "none is declared"
             where = SourceLocation(file, column=f"stations.{name}.instrument")
-            raise where.error(f"there is no table [instruments.{shown(wanted)}]; instruments: {names_of_tables}")
+            raise where.error(f"there is no table [instruments.{quoted_text(wanted)}]; instruments: {names_of_tables}")
     for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
         if line.from_ == line.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-            raise where.error(f"a length from '{shown(line.to)}' to itself, expected two different targets")
+            raise where.error(f"a length from '{quoted_text(line.to)}' to itself, expected two different targets")
     called = [difference.called for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
-            raise where.error(f"a difference from '{shown(difference.to)}' to itself, expected two different marks")
+            raise where.error(
+                f"a difference from '{quoted_text(difference.to)}' to itself, expected two different marks"
+            )
         if difference.called in called[:i]:
-            raise where.error(f"'{shown(difference.called)}' is there already, expected a different name (key name)")
+            raise where.error(
+                f"'{quoted_text(difference.called)}' is there already, expected a different name (key name)"
+            )
 
 
-def _close(name: str, candidates: Any) -> list[str]:
+def _similar_names(name: str, candidates: Any) -> list[str]:
     choices = sorted(str(k) for k in candidates)
     return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
 
 
-def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
+def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     """Sentence for a validation error of a file with the tables of `root`: key, value, permitted values."""
     # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
     stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
-    value = shown(json.dumps(error["input"], default=str), 60)
+    value = quoted_text(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        keys = _keys_at(root, place[:-1])
-        inside = {name: f"{table}.{name}" for table in keys for name in _keys_at(root, [*place[:-1], table])}
+        keys = _permitted_keys(root, place[:-1])
+        inside = {name: f"{table}.{name}" for table in keys for name in _permitted_keys(root, [*place[:-1], table])}
         close_to = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
-        near = close_to(keys) or [inside[name] for name in close_to(inside)] or _close(str(place[-1]), keys)
-        return f"unknown key {shown(key, 100)}; did you mean {', '.join(near)}?"
+        near = close_to(keys) or [inside[name] for name in close_to(inside)] or _similar_names(str(place[-1]), keys)
+        return f"unknown key {quoted_text(key, 100)}; did you mean {', '.join(near)}?"
     if error["type"] == "missing":
-        return f"the key {shown(key, 100)} is missing"
+        return f"the key {quoted_text(key, 100)} is missing"
     wanted = error["msg"][0].lower() + error["msg"][1:]
-    expected = shown(_expected(wanted), 120)
-    return f"{shown(key, 100)} is {value}, but {expected}" if key else expected
+    expected = quoted_text(_expected_text(wanted), 120)
+    return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
 
 
-def _keys_at(root: type[BaseModel], path: Iterable[object]) -> list[str]:
+def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
     return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
 
 
-_COUNT = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
+_COUNT_PATTERN = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
 
 
-def _expected(message: str) -> str:
-    return _COUNT.sub(
+def _expected_text(message: str) -> str:
+    return _COUNT_PATTERN.sub(
         r"it should hold \1 \2", message.replace("input should", "it should").removeprefix("value error, ")
     )
 
 
-Schema = dict[str, Any]
+JsonSchema = dict[str, Any]
 
 
 @lru_cache
-def _schema(root: type[BaseModel]) -> Schema:
+def _model_schema(root: type[BaseModel]) -> JsonSchema:
     return root.model_json_schema(by_alias=True)
 
 
-def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Schema, list[Schema]]]:
+def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
     """JSON schemas that are valid at a path of keys below a model, each with its alternatives."""
 
-    def choices(node: Schema) -> list[Schema]:
+    def choices(node: JsonSchema) -> list[JsonSchema]:
         if "$ref" in node:
-            return choices(_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
+            return choices(_model_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
         return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
 
-    nodes = [_schema(root)]
+    nodes = [_model_schema(root)]
     for part in map(str, path):
-        nodes = [below for node in nodes for choice in choices(node) if (below := _below(choice, part)) is not None]
+        nodes = [
+            below for node in nodes for choice in choices(node) if (below := _schema_below(choice, part)) is not None
+        ]
     return [(node, choices(node)) for node in nodes]
 
 
-def _below(node: Schema, part: str) -> Schema | None:
+def _schema_below(node: JsonSchema, part: str) -> JsonSchema | None:
     """Schema below one part of a path: a named entry, any entry, or the entry of a list."""
     below = node.get("properties", {}).get(part) or node.get("additionalProperties")
     below = below or (node.get("items") if part.isdecimal() else None)

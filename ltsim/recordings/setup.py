@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.keys import (
     EXACT_LEVEL_ARCSEC as EXACT_LEVEL_ARCSEC,
     MIN_SIGMA as MIN_SIGMA,
@@ -27,7 +27,7 @@ from ltsim.recordings.keys import (
     Sigma as Sigma,
     TomlSection as TomlSection,
     Vector as Vector,
-    symmetric as symmetric,
+    symmetric_matrix as symmetric_matrix,
 )  # fmt: skip
 
 MIN_ANGLES = 3
@@ -343,7 +343,7 @@ class Setup(TomlSection):
     """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
     deviation, such as [0.13, 0.1]; if given, the network estimates the coefficient.
     """
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air along the beams, a table `[air]`; the default values of its keys are for halls."""
     report: About | None = None
     """Header of a report: instrument, date, operator, customer."""

@@ -15,9 +15,9 @@ from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
-COVERAGE = 2.0
+MPE_COVERAGE_FACTOR = 2.0
 """Number of standard deviations in a maximum permissible error: manufacturers give typical errors as half of it."""
-TWO_FACES = 2.0
+TWO_FACE_LIMIT_RATIO = 2.0
 """Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
 annex D).
 """
@@ -30,11 +30,11 @@ TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.
 """Standard deviations of a first-class total station by ISO 17123, as in manufacturers' data sheets."""
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
 """Default total station; its readings contain its corrections."""
-NO_NOISE = (
+NO_NOISE_NOTE = (
     "the file declares no noise: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
-LIKE_TOTAL_STATION = (
+TOTAL_STATION_NOTE = (
     "the file declares no noise: that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
     "in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
@@ -67,15 +67,15 @@ class Specification(TomlSection):
                 raise ValueError(f"it should not be 0 in both {kind}_um and {kind}_um_per_m")
         return self
 
-    def across(self, range_: Floats) -> Floats:
+    def transverse_limit(self, range_: Floats) -> Floats:
         """Limit [m] of the error of a point perpendicular to the beam, at ranges [m]."""
         return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
 
-    def along(self, range_: Floats) -> Floats:
+    def range_limit(self, range_: Floats) -> Floats:
         """Limit [m] of the error of a point along the beam, at ranges [m], without the range zero error."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
-    def of_lengths(self, first: Floats, second: Floats) -> Floats:
+    def length_limits(self, first: Floats, second: Floats) -> Floats:
         """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
 
         It is the root sum of squares of the limits at both ends in the direction of the length. The range zero error is
@@ -87,23 +87,23 @@ class Specification(TomlSection):
         for points, sign in ((first, -1.0), (second, 1.0)):
             range_ = to_polar(points)[:, 0]
             cosine = np.einsum("ki,ki->k", direction, points) / range_
-            squares += (cosine * self.along(range_)) ** 2 + (1 - cosine**2) * self.across(range_) ** 2
+            squares += (cosine * self.range_limit(range_)) ** 2 + (1 - cosine**2) * self.transverse_limit(range_) ** 2
             offset += sign * cosine
         return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
 
-    def of_two_faces(self, points: Floats) -> Floats:
+    def two_face_limits(self, points: Floats) -> Floats:
         """Limit (k,) [m] of the distance perpendicular to the beam between the two faces of points (k, 3) [m]."""
-        return TWO_FACES * self.across(to_polar(points)[:, 0])
+        return TWO_FACE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
 
-    def instrument(self, construction: str = "source-in-head") -> Instrument:
-        """Instrument whose noise and priors correspond to these limits at `COVERAGE` sigma.
+    def to_instrument(self, construction: str = "source-in-head") -> Instrument:
+        """Instrument whose noise and priors correspond to these limits at `MPE_COVERAGE_FACTOR` sigma.
 
         The part of each limit that grows with the range is an angle or a scale, the constant part an offset. The
         fraction `noise_share` of each variance is noise of the readings, and the rest belongs to the instrument's
         constants; two angular constants act on each direction perpendicular to the beam. The constant transverse part
         belongs to offsets alone. The constant part of the range is all noise if the range zero has a separate limit.
         """
-        sigma = 1.0 / COVERAGE
+        sigma = 1.0 / MPE_COVERAGE_FACTOR
         noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
         angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
         has_offset = self.range_offset_um > 0
@@ -113,51 +113,52 @@ class Specification(TomlSection):
             noise=Noise(
                 distance_mm=sigma * self.range_um * (1.0 if has_offset else noise) * MICROMETRE / MILLIMETRE,
                 distance_ppm=sigma * self.range_um_per_m * noise,
-                azimuth_arcsec=_least(angle * noise),
-                elevation_arcsec=_least(angle * noise),
+                azimuth_arcsec=_at_least_min_sigma(angle * noise),
+                elevation_arcsec=_at_least_min_sigma(angle * noise),
             ),
             prior=Prior(
-                range_scale_ppm=_least(sigma * self.range_um_per_m * rest),
-                range_offset_mm=_least(sigma * offset * MICROMETRE / MILLIMETRE),
-                angle_arcsec=_least(angle * rest / np.sqrt(2.0)),
-                offset_mm=_least(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+                range_scale_ppm=_at_least_min_sigma(sigma * self.range_um_per_m * rest),
+                range_offset_mm=_at_least_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
+                angle_arcsec=_at_least_min_sigma(angle * rest / np.sqrt(2.0)),
+                offset_mm=_at_least_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
             ),
         )
 
     @property
-    def assumption(self) -> str:
+    def assumption_sentence(self) -> str:
         """Sentence on how the limits of the data sheet become standard deviations."""
         return (
-            f"a limit is taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
+            f"a limit is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, {100 * self.noise_share:g} "
+            "% of the variance as "
             "noise and the rest as constants of the instrument"
         )
 
 
-def _least(sigma: float) -> float:
+def _at_least_min_sigma(sigma: float) -> float:
     return max(float(sigma), 1e-6)
 
 
-def sheet_names() -> tuple[str, ...]:
+def data_sheet_names() -> tuple[str, ...]:
     """Names of the built-in data sheets."""
-    return tuple(_sheets())
+    return tuple(_data_sheets())
 
 
-def figures(name: str) -> dict[str, Any]:
+def data_sheet_figures(name: str) -> dict[str, Any]:
     """Numbers of a built-in data sheet, as keys of a `Specification`; keys that it does not give are missing.
 
     Raises ModelError when there is no such sheet.
     """
-    if name not in _sheets():
-        raise unknown_name("data sheet", name, _sheets())
-    return dict(_sheets()[name])
+    if name not in _data_sheets():
+        raise unknown_name("data sheet", name, _data_sheets())
+    return dict(_data_sheets()[name])
 
 
-def completed_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+def complete_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
 
     Raises ModelError when there is no such sheet, or a limit is in neither.
     """
-    keys = figures(name)
+    keys = data_sheet_figures(name)
     missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared]
     if missing:
         raise ModelError(
@@ -168,12 +169,14 @@ def completed_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     return {**keys, **declared}
 
 
-def sheet(name: str) -> Specification:
+def data_sheet(name: str) -> Specification:
     """Complete limits of a built-in data sheet; raises ModelError if it does not give all of them."""
-    return Specification.model_validate(completed_figures(name, {}))
+    return Specification.model_validate(complete_figures(name, {}))
 
 
-def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
+def noise_and_prior_tables(
+    name: str, given: Mapping[str, Any], limits: Iterable[str] = ()
+) -> dict[str, dict[str, float]]:
     """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `given`.
 
     No available data sheet states the range of elevations of an instrument: `limits` are the keys of that table that
@@ -181,8 +184,8 @@ def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str]
 
     Raises ModelError when there is no such sheet, or a value is neither in it nor in `given`.
     """
-    published = figures(name)
-    whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).instrument()
+    published = data_sheet_figures(name)
+    whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
     exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
     if any(key not in published for key in REQUIRED_LIMITS):
@@ -209,21 +212,21 @@ def deviating_keys(instrument: Instrument) -> list[str]:
     if instrument.sheet is None:
         return []
     specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
-    skipped = () if all(key in figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
+    skipped = () if all(key in data_sheet_figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
     return [
         f"{table}.{key}"
-        for table, values in tables_from_sheet(instrument.sheet, specified).items()
+        for table, values in noise_and_prior_tables(instrument.sheet, specified).items()
         for key, value in values.items()
         if not np.isclose(specified[table][key], value, rtol=1e-5) and not key.startswith(skipped)
     ]
 
 
 @functools.cache
-def _sheets() -> dict[str, dict[str, Any]]:
+def _data_sheets() -> dict[str, dict[str, Any]]:
     text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")
-    return {row["name"]: _figures_of(row) for row in csv.DictReader(text.splitlines())}
+    return {row["name"]: _figures_from_row(row) for row in csv.DictReader(text.splitlines())}
 
 
-def _figures_of(row: dict[str, str]) -> dict[str, Any]:
+def _figures_from_row(row: dict[str, str]) -> dict[str, Any]:
     numbers = {key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")}
     return {"name": row["instrument"], "source": row["source"], **numbers}

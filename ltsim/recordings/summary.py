@@ -10,75 +10,80 @@ from ltsim.core.units import DEGREE
 from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
-MAX_NAMED = 6
+MAX_LISTED_NAMES = 6
 
 
-def summary(recording: Recording) -> dict[str, str]:
+def recording_summary(recording: Recording) -> dict[str, str]:
     """Set-ups, rounds, faces, readings, heights, time, noise and reference values of a recording, as text by topic."""
     topics = {
-        "set-ups": _set_ups(recording),
-        "pointings": _pointings(recording),
-        "faces": _faces(recording),
-        "readings": _readings(recording),
-        "heights": _heights(recording),
-        "time": _time(recording),
-        "noise": _noise(recording),
-        "known": _reference_values(recording),
+        "set-ups": _setups_text(recording),
+        "pointings": _pointings_text(recording),
+        "faces": _faces_text(recording),
+        "readings": _readings_text(recording),
+        "heights": _heights_text(recording),
+        "time": _time_text(recording),
+        "noise": _noise_text(recording),
+        "known": _reference_values_text(recording),
     }
     return {topic: words for topic, words in topics.items() if words}
 
 
-def _set_ups(recording: Recording) -> str:
+def _setups_text(recording: Recording) -> str:
     setups = {name: recording.station_setup(name) for name in recording.stations}
     marks = {s.over for s in setups.values() if s.over is not None}
     over = f" over {len(marks)} marks" if marks else ""
     level = sum(s.levelled for s in setups.values())
     levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
-    return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMED)}){levelled}"
+    return f"{len(setups)}{over} ({listing(list(setups), MAX_LISTED_NAMES)}){levelled}"
 
 
-def _pointings(recording: Recording) -> str:
+def _pointings_text(recording: Recording) -> str:
     per_station = np.bincount(recording.station, minlength=len(recording.stations))
-    each = _span(per_station.astype(np.float64), "d")
+    each = _range_text(per_station.astype(np.float64), "d")
     rounds = int(recording.repeat.max(initial=1))
     repeated = f", up to {rounds} of a target in one face" if rounds > 1 else ""
     return f"{len(recording)} to {len(recording.targets)} targets, {each} per set-up{repeated}"
 
 
-def _faces(recording: Recording) -> str:
-    sights = {face: {*_sighted(recording, face)} for face in (1, 2)}
+def _faces_text(recording: Recording) -> str:
+    sights = {face: {*_n_sighted(recording, face)} for face in (1, 2)}
     every, both = len(sights[1] | sights[2]), len(sights[1] & sights[2])
     if not both:
         return f"face {1 if sights[1] else 2} only"
     return "every target in both" if both == every else f"{both} of {every} sights in both"
 
 
-def _sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
+def _n_sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
     rows = recording.face == face
     return list(zip(recording.station[rows].tolist(), recording.target[rows].tolist(), strict=True))
 
 
-def _readings(recording: Recording) -> str:
+def _readings_text(recording: Recording) -> str:
     counts = recording.measured.sum(axis=0)
     flat = " (horizontal ones)" if recording.is_horizontal.any() else ""
     distances = (
-        f"{counts[0]} distances{flat} of {_span(recording.readings[:, 0], '.4g')} m" if counts[0] else "no distances"
+        f"{counts[0]} distances{flat} of {_range_text(recording.readings[:, 0], '.4g')} m"
+        if counts[0]
+        else "no distances"
     )
     elevations = np.where(recording.face == 2, np.pi - recording.readings[:, 2], recording.readings[:, 2]) / DEGREE
-    angles = f"{counts[2]} elevations of {_span(elevations, '.3g')} deg" if counts[2] else "no elevations"
+    angles = f"{counts[2]} elevations of {_range_text(elevations, '.3g')} deg" if counts[2] else "no elevations"
     return f"{distances}, {counts[1]} azimuths, {angles}"
 
 
-def _heights(recording: Recording) -> str:
+def _heights_text(recording: Recording) -> str:
     instrument, target = recording.heights()
     if not instrument.any() and not target.any():
         given = recording.setup.heads_sigma_mm
         return "none" if given is None else f"between heads, each known to {given:g} mm"
     origin = " (by row)" if any(name in recording.covariates for name in HEIGHT_COLUMNS) else ""
-    return f"instruments {_span(instrument, '.4g')} m, targets {_span(target, '.4g')} m over their marks{origin}"
+    return (
+        f"instruments {_range_text(instrument, '.4g')} m, targets {_range_text(target, '.4g')} m over their "
+        f"marks{origin}"
+    )
 
 
-def _time(recording: Recording) -> str:
+def _time_text(recording: Recording) -> str:
     if not recording.has_clock or not np.isfinite(recording.time).any():
         return "no clock: the order of the rows replaces the time"
     seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
@@ -87,17 +92,17 @@ def _time(recording: Recording) -> str:
     return f"{began}{hours} h {rest // 60:02d} min {rest % 60:02d} s"
 
 
-def _noise(recording: Recording) -> str:
+def _noise_text(recording: Recording) -> str:
     by_name = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
-    words = [noise_words(noise) for noise in by_name]
+    words = [noise_text(noise) for noise in by_name]
     if len(words) > 1:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
     shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
     by_row = ["declared per row"] if shares else []
-    return "; ".join([*by_row, *words][:MAX_NAMED])
+    return "; ".join([*by_row, *words][:MAX_LISTED_NAMES])
 
 
-def noise_words(noise: Noise) -> str:
+def noise_text(noise: Noise) -> str:
     """Noise of an instrument as text, in the form of a data sheet."""
     constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
     return (
@@ -106,7 +111,7 @@ def noise_words(noise: Noise) -> str:
     )
 
 
-def _reference_values(recording: Recording) -> str:
+def _reference_values_text(recording: Recording) -> str:
     setup = recording.setup
     counts = {
         "control points": sum(t.known_mm is not None for t in setup.targets.values()),
@@ -117,7 +122,7 @@ def _reference_values(recording: Recording) -> str:
     return ", ".join(f"{count} {what}" for what, count in counts.items() if count) or "nothing"
 
 
-def _span(values: Floats | Sequence[float], form: str) -> str:
+def _range_text(values: Floats | Sequence[float], form: str) -> str:
     """Smallest and largest of some numbers, as text."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]

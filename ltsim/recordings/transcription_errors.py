@@ -2,8 +2,8 @@
 
 One table serves the readers that refuse a file, the effect that simulates such an error, and the diagnosis that
 corrects a station or a single pointing. A column that is wrong in all rows (radians as degrees, metres as millimetres,
-gon, zenith angles) is a wrong file, which `check_degrees` refuses; a wrong unit in one row is a gross error, which the
-diagnosis locates.
+gon, zenith angles) is a wrong file, which `require_degrees_and_millimetres` refuses; a wrong unit in one row is a gross
+error, which the diagnosis locates.
 """
 
 import itertools
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE
+from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import SourceLocation
 
@@ -22,9 +22,10 @@ class TranscriptionError:
     """Transcription error: the columns contain factor * reading + offset."""
 
     name: str
-    content: str
-    expected: str
-    """Text of the wrong content of a column, and of the right content."""
+    wrong_content: str
+    """Text of the wrong content of a column."""
+    right_content: str
+    """Text of the right content of a column."""
     changes: tuple[tuple[int, float, float], ...]
     """Changes by the error: column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
 
@@ -36,16 +37,16 @@ class TranscriptionError:
     @property
     def cause(self) -> str:
         """Text of the error, such as metres for millimetres."""
-        return f"{self.content} for {self.expected}"
+        return f"{self.wrong_content} for {self.right_content}"
 
-    def written(self, readings: Floats) -> Floats:
+    def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) with the error, from raw readings (n, 3)."""
         other = readings.copy()
         for column, factor, offset in self.changes:
             other[:, column] = factor * readings[:, column] + offset
         return other
 
-    def corrected(self, readings: Floats) -> Floats:
+    def without_error(self, readings: Floats) -> Floats:
         """Raw readings (n, 3) from readings (n, 3) with the error."""
         other = readings.copy()
         for column, factor, offset in self.changes:
@@ -53,26 +54,29 @@ class TranscriptionError:
         return other
 
 
-def _length(name: str, unit: str, millimetres: float) -> TranscriptionError:
+def _length_error(name: str, unit: str, millimetres: float) -> TranscriptionError:
     return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / millimetres, 0.0),))
 
 
-QUARTER = 0.5 * np.pi
-GON, RADIAN = (FACTOR["deg"] / FACTOR[unit] for unit in ("gon", "rad"))
+QUARTER_TURN = 0.5 * np.pi
+GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 
 UNIT_ERRORS = (
-    _length("inch", "inches", 25.4),
-    _length("metre", "metres", 1e3),
-    _length("micrometre", "micrometres", 1e-3),
-    _length("centimetre", "centimetres", 10.0),
-    _length("foot", "feet", 304.8),
-    TranscriptionError("gon", "gon", "degrees", ((1, GON, 0.0), (2, GON, 0.0))),
-    TranscriptionError("radian", "radians", "degrees", ((1, RADIAN, 0.0), (2, RADIAN, 0.0))),
-    TranscriptionError("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON, 0.0),)),
-    TranscriptionError("gon-elevation", "gon", "degrees of the elevation", ((2, GON, 0.0),)),
-    TranscriptionError("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER),)),
+    _length_error("inch", "inches", 25.4),
+    _length_error("metre", "metres", 1e3),
+    _length_error("micrometre", "micrometres", 1e-3),
+    _length_error("centimetre", "centimetres", 10.0),
+    _length_error("foot", "feet", 304.8),
+    TranscriptionError("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
+    TranscriptionError("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
+    TranscriptionError("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
+    TranscriptionError("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
+    TranscriptionError("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
     TranscriptionError(
-        "zenith-gon", "zenith angles in gon", "elevations in degrees", ((1, GON, 0.0), (2, -GON, GON * QUARTER))
+        "zenith-gon",
+        "zenith angles in gon",
+        "elevations in degrees",
+        ((1, GON_PER_DEGREE, 0.0), (2, -GON_PER_DEGREE, GON_PER_DEGREE * QUARTER_TURN)),
     ),
     TranscriptionError("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
@@ -84,14 +88,16 @@ FACE_ERRORS = (
 )
 """Errors of one angle, which is the one of the other face."""
 
-FULL_RADIANS = 2 * np.pi + 0.01
-SHORTEST_MM = 200.0
-MAX_CHORDS = 400
-WRONG_GAP, RIGHT_GAP = 2e-3, 2e-4
-"""Relative disagreement of lengths above which a file is wrong, and below which it is right."""
+FULL_CIRCLE_RADIANS = 2 * np.pi + 0.01
+MIN_DISTANCE_MM = 200.0
+MAX_COMPARED_CHORDS = 400
+MIN_WRONG_DISAGREEMENT = 2e-3
+"""Relative disagreement of lengths above which a file is wrong."""
+MAX_RIGHT_DISAGREEMENT = 2e-4
+"""Relative disagreement of lengths below which a file is right."""
 
 
-def clouds_of(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
+def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
     """Mean position of each target in each station's frame, by their indices; rows (n, 3) with NaN are ignored."""
     good = np.all(np.isfinite(points), axis=1)
     count = int(target.max(initial=0)) + 1
@@ -105,7 +111,7 @@ def clouds_of(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int
     return clouds
 
 
-def chord_gap(points: Floats, station: Ints, target: Ints) -> float:
+def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     """Median relative disagreement of the lengths between common targets of two stations.
 
     Lengths do not depend on poses: they test units and the kind of the vertical angle, but not the sense of the
@@ -113,11 +119,11 @@ def chord_gap(points: Floats, station: Ints, target: Ints) -> float:
 
     `points` (n, 3) are in each station's frame. NaN if no two stations have two common targets.
     """
-    clouds = clouds_of(points, station, target).values()
+    clouds = station_clouds(points, station, target).values()
     gaps: list[float] = []
-    for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_CHORDS):
+    for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_CHORDS):
         common = sorted(first.keys() & other.keys())[:60]
-        if len(common) < 2 or len(gaps) >= MAX_CHORDS:
+        if len(common) < 2 or len(gaps) >= MAX_COMPARED_CHORDS:
             continue
         here = np.array([first[k] for k in common])
         there = np.array([other[k] for k in common])
@@ -140,7 +146,7 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
     return np.asarray(sums[np.isfinite(sums)])
 
 
-def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, file: object) -> None:
+def require_degrees_and_millimetres(measured: Floats, station: Ints, target: Ints, face: Ints, file: object) -> None:
     """Check that the columns are in degrees and millimetres; raises RecordError for another unit or another angle.
 
     `measured` (n, 3) are distances [mm], azimuths and elevations [deg]. The message names the unit or angle that the
@@ -148,33 +154,33 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
     """
     elevation = measured[:, 2]
     longest = float(np.nanmax(measured[:, 0], initial=-np.inf))
-    if -np.inf < longest < SHORTEST_MM:
+    if -np.inf < longest < MIN_DISTANCE_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
     sums = _two_face_sums(elevation, station, target, face)
     middle = float(np.median(sums)) if len(sums) else float("nan")
     for slip in UNIT_ERRORS:
-        expected = _sum_of_faces(slip)
+        expected = _face_sum_with_error(slip)
         if expected is not None and abs(middle - expected) < 0.005 * expected:
             message = (
-                f"the two faces add up to {middle:.4g}, which looks like {slip.content}; "
+                f"the two faces add up to {middle:.4g}, which looks like {slip.wrong_content}; "
                 "expected elevations in degrees, where they add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
-    _check_not_radians(measured, station, target, file)
-    _check_faces(elevation, face, file)
+    _require_not_radians(measured, station, target, file)
+    _require_consistent_faces(elevation, face, file)
     readings = measured * [MILLIMETRE, DEGREE, DEGREE]
     if (error := error_by_lengths(readings, station, target)) is not None:
         message = (
             "two stations disagree on the lengths between their targets, and agree if the column holds "
-            f"{error.content}; expected {error.expected}"
+            f"{error.wrong_content}; expected {error.right_content}"
         )
         raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.columns[0] - 1]).error(message)
 
 
-def _sum_of_faces(slip: TranscriptionError) -> float | None:
+def _face_sum_with_error(error: TranscriptionError) -> float | None:
     """Sum [deg] of the vertical angles of a target on both faces under a transcription error; None if it is 180 too."""
-    for column, factor, offset in slip.changes:
+    for column, factor, offset in error.changes:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
             return total if abs(total) > 1e-9 else abs(factor) * 360.0
@@ -189,22 +195,22 @@ def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> Transcrip
     `readings` (n, 3) are raw [m, rad, rad]. It is also None if the lengths agree already. Lengths do not reveal a
     mirrored network.
     """
-    if not chord_gap(from_polar(readings), station, target) > WRONG_GAP:
+    if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None
     angular = [slip for slip in UNIT_ERRORS if 0 not in slip.columns]
-    gaps = [chord_gap(from_polar(slip.corrected(readings)), station, target) for slip in angular]
+    gaps = [length_disagreement(from_polar(slip.without_error(readings)), station, target) for slip in angular]
     best = int(np.argmin(gaps))
-    return angular[best] if gaps[best] < RIGHT_GAP else None
+    return angular[best] if gaps[best] < MAX_RIGHT_DISAGREEMENT else None
 
 
-def _check_not_radians(measured: Floats, station: Ints, target: Ints, file: object) -> None:
+def _require_not_radians(measured: Floats, station: Ints, target: Ints, file: object) -> None:
     angles = [a[np.isfinite(a)] for a in measured.T[1:]]
-    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > FULL_RADIANS:
+    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > FULL_CIRCLE_RADIANS:
         return
     wide = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured * [MILLIMETRE, 1.0, 1.0]
-    as_radians = chord_gap(from_polar(readings), station, target)
-    as_degrees = chord_gap(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
+    as_radians = length_disagreement(from_polar(readings), station, target)
+    as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
     if any(wide) and not as_degrees <= as_radians:
         values = angles[wide.index(True)]
         looks = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
@@ -212,7 +218,7 @@ def _check_not_radians(measured: Floats, station: Ints, target: Ints, file: obje
         raise SourceLocation(file, column=column).error(f"{looks}; expected degrees")
 
 
-def _check_faces(elevation: Floats, face: Ints, file: object) -> None:
+def _require_consistent_faces(elevation: Floats, face: Ints, file: object) -> None:
     back: Bools = (face == 2) & np.isfinite(elevation)
     reduced = back & (np.abs(elevation) < 90)
     if np.count_nonzero(reduced) > 2 and np.all(reduced == back):

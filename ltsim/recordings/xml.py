@@ -16,9 +16,9 @@ from defusedxml.ElementTree import DefusedXMLParser
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAGS
-from ltsim.recordings.files import SourceLocation, read_bytes, shown
+from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
 
-_LONG_TAG = re.compile(rb"<[^<]{4096,}+")
+_LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
 """Pattern of a tag longer than 4096 characters, which may contain too many attributes."""
 LINE_ATTRIBUTE = "{ltsim}line"
 """Attribute with the line number of an element; a file cannot set it, because it is overwritten."""
@@ -59,29 +59,29 @@ class _DepthCheck:
         """End of the parser, which builds no tree."""
 
 
-def check_tags(content: bytes, file: Path) -> None:
+def check_tag_attributes(content: bytes, file: Path) -> None:
     """Check that no tag of an XML text has more attributes than permitted; raises RecordError.
 
     An attribute cannot contain `<`, so that all attributes of a tag are before the next `<`.
     """
-    if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG.finditer(content)):
+    if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG_PATTERN.finditer(content)):
         raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the limit for reading", file=file)
 
 
-def check_part(content: bytes, file: Path) -> None:
+def check_xml_part(content: bytes, file: Path) -> None:
     """Check of XML for a library: entities, depth, attributes of a tag, encoding; raises RecordError.
 
     Raises ParseError if it is not well formed.
     """
     if b"\x00" in content:
         raise RecordError("contains a part that is not UTF-8", file=file)
-    check_tags(content, file)
+    check_tag_attributes(content, file)
     parser = DefusedXMLParser(target=_DepthCheck(file))
     parser.feed(content)
     parser.close()
 
 
-def parse(path: Path) -> Node:
+def parse_xml(path: Path) -> XmlNode:
     """Root element of an XML file.
 
     Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
@@ -90,7 +90,7 @@ def parse(path: Path) -> Node:
     if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
         most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
         raise RecordError(f"holds more than {most}, the limit for reading", file=path)
-    check_tags(content, path)
+    check_tag_attributes(content, path)
     try:
         builder = _NumberedBuilder(path)
         builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
@@ -100,27 +100,27 @@ def parse(path: Path) -> Node:
         raise RecordError("declares entities, which are not read", file=path) from None
     except ParseError as problem:
         line = getattr(problem, "position", (0, 0))[0]
-        raise RecordError(f"is not well-formed XML ({shown(str(problem), 80)})", file=path, row=line) from None
+        raise RecordError(f"is not well-formed XML ({quoted_text(str(problem), 80)})", file=path, row=line) from None
     except (ValueError, LookupError, RecursionError):
         raise RecordError("is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
         raise RecordError("contains no XML element", file=path)
-    return Node(root, path)
+    return XmlNode(root, path)
 
 
 @dataclass(frozen=True)
-class Node:
+class XmlNode:
     """Element of an XML file; errors about its content name its line."""
 
     element: Element
     file: Path
 
-    def __iter__(self) -> Iterator[Node]:
-        return (Node(inner, self.file) for inner in self.element)
+    def __iter__(self) -> Iterator[XmlNode]:
+        return (XmlNode(inner, self.file) for inner in self.element)
 
-    def inside(self, *tags: str) -> Iterator[Node]:
+    def descendants(self, *tags: str) -> Iterator[XmlNode]:
         """Elements with one of these names, including this one and all below it, in the order of the file."""
-        nodes = (Node(inner, self.file) for inner in self.element.iter())
+        nodes = (XmlNode(inner, self.file) for inner in self.element.iter())
         return (node for node in nodes if node.tag in tags)
 
     @property
@@ -134,7 +134,7 @@ class Node:
         return int(self.element.get(LINE_ATTRIBUTE, "0"))
 
     @property
-    def where(self) -> SourceLocation:
+    def location(self) -> SourceLocation:
         """Location of the element in its file."""
         return SourceLocation(self.file, self.line)
 
@@ -150,24 +150,24 @@ class Node:
     def __contains__(self, name: str) -> bool:
         return name in self.element.attrib
 
-    def attribute(self, name: str) -> str:
+    def required_attribute(self, name: str) -> str:
         """Required attribute; raises RecordError if it is missing."""
         if name not in self:
-            raise self.where.error(f"<{shown(self.tag)}> lacks the attribute {name}")
+            raise self.location.error(f"<{quoted_text(self.tag)}> lacks the attribute {name}")
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
         """Numeric attribute; `default` if it is missing, or RecordError without a default."""
         if default is not None and name not in self:
             return default
-        return self.where.number(self.attribute(name), f"<{shown(self.tag)}> {name}", limit=limit)
+        return self.location.number(self.required_attribute(name), f"<{quoted_text(self.tag)}> {name}", limit=limit)
 
     def name(self, name: str, kind: str) -> str:
         """Attribute that names a station or target; raises RecordError."""
-        return self.where.name(self.attribute(name), kind)
+        return self.location.name(self.required_attribute(name), kind)
 
 
-def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
+def band_matrix_entries(node: XmlNode, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
     """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form; raises RecordError.
 
     The error names `node` if the number of values does not match the size and the band width.
@@ -176,6 +176,6 @@ def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tup
     last = np.minimum(rows + max(int(band), 0), int(size) - 1)
     counts = last - rows + 1
     if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
-        raise node.where.error("a <cov-mat> whose numbers do not match dim and band")
+        raise node.location.error("a <cov-mat> whose numbers do not match dim and band")
     column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last, strict=True)])
     return np.repeat(rows, counts), column, np.array(values)

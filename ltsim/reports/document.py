@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim.core import results
 from ltsim.core.descriptions import descriptions
-from ltsim.core.notation import NONE, aligned, number
+from ltsim.core.notation import MISSING_TEXT, align_columns, number_text
 from ltsim.recordings import Recording
-from ltsim.recordings.result_file import ResultFile, companion
+from ltsim.recordings.result_file import ResultFile, companion_path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,9 +30,11 @@ CONTENT_SECURITY_POLICY = (
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
-FOLDED_ROWS, UNPRINTED_ROWS = 30, 120
+FOLDED_ROWS = 30
+UNPRINTED_ROWS = 120
 """Number of rows above which a table is folded, and above which it is not printed (three pages)."""
-TERMINAL_ROWS, TERMINAL_WIDTH = 8, 160
+TERMINAL_ROWS = 8
+TERMINAL_WIDTH = 160
 """Number of rows of a folded table on a terminal, and largest width of a table there [characters]."""
 
 
@@ -50,7 +52,7 @@ class ReportContext:
 
     def file(self, name: str, content: ResultFile) -> Path | None:
         """Companion file of a result; None if it does not exist; raises RecordError if it belongs to another result."""
-        return None if self.folder is None else companion(self.folder, name, content)
+        return None if self.folder is None else companion_path(self.folder, name, content)
 
 
 def mood(good: bool) -> Mood:
@@ -227,12 +229,13 @@ def _as_text(block: Block) -> str:
 
 def _lines(table: TableBlock) -> str:
     """Text of a table in columns, or in one line per row if it is too wide."""
-    text = aligned(table.header, table.rows, table.text_columns)
+    text = align_columns(table.header, table.rows, table.text_columns)
     if max(map(len, text.split("\n"))) <= TERMINAL_WIDTH:
         return text
     heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
     rows = (
-        [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", NONE)] for row in table.rows
+        [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", MISSING_TEXT)]
+        for row in table.rows
     )
     return "\n".join(f"- {'; '.join(row)}" for row in rows)
 
@@ -254,7 +257,9 @@ def table_of(
     for field in fields if rows else ():
         (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
         first = getattr(rows[0], name)
-        kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
+        kind: results.ColumnKind = (
+            "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
+        )
         about = descriptions(type(rows[0])).get(name, "")
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
@@ -282,4 +287,4 @@ def _joined(value: Any) -> Any:
     """Text of a list in one cell."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value
-    return ", ".join(v if isinstance(v, str) else number(v) for v in value)
+    return ", ".join(v if isinstance(v, str) else number_text(v) for v in value)

@@ -14,8 +14,8 @@ from markupsafe import Markup, escape
 from ltsim.campaigns import require_packages
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.recordings import read
-from ltsim.recordings.native import OBSERVATIONS, SETUP
-from ltsim.recordings.result_file import digest_of, read_json
+from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
+from ltsim.recordings.result_file import read_json, recording_digest
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
 from ltsim.reports.document import CONTENT_SECURITY_POLICY, Detail, Document, ReportContext, Section
@@ -49,7 +49,8 @@ HEADLINES = {
 """Headline of a page by kind of result and verdict."""
 
 
-NAME, MANIFEST = "report.html", "manifest.json"
+NAME = "report.html"
+MANIFEST = "manifest.json"
 HEADS = ("diagnosis.json", "calibration.json")
 UNREADABLE = "Not readable"
 
@@ -64,13 +65,13 @@ class PagePart:
     brief: bool = False
 
 
-KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
+KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS_FILE, *(k for k in WRITERS if k not in HEADS), MANIFEST)
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
 def section(part: PagePart, detail: Detail = "none") -> Section:
     """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
-    if part.kind == OBSERVATIONS:
+    if part.kind == OBSERVATIONS_FILE:
         return recording_section(part.folder, detail=detail, brief=part.brief)
     if part.kind == MANIFEST:
         require_packages()
@@ -122,7 +123,7 @@ def _actions(sections: list[Section]) -> list[str]:
 def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
-    setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
+    setups = [read_setup(place / SETUP_FILE) for place in folders if (place / SETUP_FILE).is_file()]
     reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
         dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
@@ -154,7 +155,7 @@ def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
     used = Counter(part.recording for part in parts)
     diagnosed = {part.recording for part in parts if part.kind == "diagnosis.json"} - {None}
     return [
-        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
+        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS_FILE else part.recording in diagnosed)
         for part in parts
     ]
 
@@ -184,8 +185,8 @@ def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Sect
 def _digest(part: PagePart) -> str:
     """Digest of the recording of a part; empty if a result names none."""
     try:
-        if part.kind == OBSERVATIONS:
-            return digest_of(read(part.folder))
+        if part.kind == OBSERVATIONS_FILE:
+            return recording_digest(read(part.folder))
         named = read_json(part.folder / part.kind, "result")["recording"]["digest"]
     except (LtsimError, KeyError, TypeError, OSError):
         return ""
@@ -218,6 +219,6 @@ def versions() -> list[tuple[str, str]]:
 def _recording_of(place: Path, top: Path) -> Path | None:
     """Folder of the recording of the results in a folder, searched in and next to it."""
     for candidate in (place, place / "recording", place.parent / "recording", top):
-        if (candidate / OBSERVATIONS).is_file():
+        if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()
     return None

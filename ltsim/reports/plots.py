@@ -13,8 +13,8 @@ from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.campaigns.judging import Judged
-from ltsim.campaigns.paired import Paired
+from ltsim.campaigns.calibration_comparison import NewPointErrors
+from ltsim.campaigns.paired import PairedDifferences
 from ltsim.campaigns.recovery import Recovery
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Result
@@ -22,7 +22,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.planning.layout_scenario import planned_scenario
+from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan
 from ltsim.recordings import Recording
@@ -41,7 +41,7 @@ from ltsim.reports.sections.diagnosis import finding_drawing
 from ltsim.reports.sections.plain import budget_of
 from ltsim.reports.verbs import View
 from ltsim.reports.workshop import from_recording, from_scenario
-from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
 MAX_PROPOSALS = 12
@@ -69,7 +69,7 @@ figure_of.register(Uncertainty, budget_of)
 
 @figure_of.register
 def _(result: Calibration) -> Figure:
-    if result.names:
+    if result.instrument_parameter_names:
         return parameter_figure(result.parameters)
     if result.adjustment is None:
         raise ModelError("a network read from a file has no figure; lt.report writes a page about it")
@@ -96,16 +96,16 @@ def _(result: Diagnosis) -> Figure:
 
 @figure_of.register
 def _(result: History) -> Figure:
-    if not result.determined:
+    if not result.determined_parameters:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
-    return history_figure(result.labels, result.determined)
+    return history_figure(result.labels, result.determined_parameters)
 
 
 @figure_of.register
 def _(result: Plan) -> Figure:
     """Figure of a plan: the floor with the chosen layout, as in floor.png of a plan's folder."""
     network = result.network
-    return floor_plan(from_scenario(planned_scenario(network)), coordinates=True, ground=network.file.floor)
+    return floor_plan(from_scenario(scenario_of_plan(network)), coordinates=True, ground=network.plan_file.floor)
 
 
 @figure_of.register
@@ -121,7 +121,7 @@ def _(result: BenchFile) -> Figure:
 
 
 @figure_of.register
-def _(result: InjectionCurve) -> Figure:
+def _(result: DetectionCurve) -> Figure:
     """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
         name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
@@ -135,13 +135,13 @@ def _(result: InjectionCurve) -> Figure:
 def _(result: Recovery) -> Figure:
     """Figure of a recovery: errors of each parameter divided by their declared sigmas (without: by their rms)."""
     trials = result.arrays
-    if not trials.converged:
+    if not trials.trials_with_result:
         raise ModelError("no trial of this recovery converged; there is no figure")
-    error = np.array([trial.estimate - trial.truth for trial in trials.converged])
-    has_sigmas = np.isfinite(trials.z).all()
-    shown = trials.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
+    error = np.array([trial.estimates - trial.true_values for trial in trials.trials_with_result])
+    has_sigmas = np.isfinite(trials.z_scores).all()
+    shown = trials.z_scores if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
-    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.names, ends, strict=True)}
+    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.parameter_names, ends, strict=True)}
     label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
     return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
@@ -153,15 +153,18 @@ def _(result: NextMeasurement) -> Figure:
 
 
 @figure_of.register
-def _(result: Judged) -> Figure:
+def _(result: NewPointErrors) -> Figure:
     example = next(iter(result.errors.values()))
-    rows = {name: (error.calibrated / MICROMETRE,) * 3 for name, error in result.errors.items()}
-    ends = {"as read": [example.raw / MICROMETRE], "by the true parameters": [example.true_parameters / MICROMETRE]}
+    rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors.items()}
+    ends = {
+        "as read": [example.raw_rms / MICROMETRE],
+        "by the true parameters": [example.true_parameters_rms / MICROMETRE],
+    }
     return values_figure(rows, "error of a new point [um]", marks=ends)
 
 
 @figure_of.register
-def _(result: Paired) -> Figure:
+def _(result: PairedDifferences) -> Figure:
     rows = {
         ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
             e.difference,

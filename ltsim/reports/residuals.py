@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.calibration.schema import RESIDUALS
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.results import Table
-from ltsim.core.units import DEGREE, FACTOR
-from ltsim.recordings.files import read_text, shown
+from ltsim.core.units import DEGREE, SI_PER_UNIT
+from ltsim.recordings.files import quoted_text, read_text
 from ltsim.recordings.recording import OBSERVABLES
 
 Names = NDArray[np.str_]
@@ -80,13 +80,13 @@ class Residuals:
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
         """Residuals of a table `RESIDUALS`; raises RecordError for an invalid observable or unit."""
-        for column, allowed in (("observable", OBSERVABLES), ("unit", FACTOR)):
+        for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
-                message = f"'{shown(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
+                message = f"'{quoted_text(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
-        scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
+        scale = np.array([SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
         row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
         return cls(
             row=row.astype(np.int64),
@@ -102,16 +102,16 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        recording, use = adjustment.recording, adjustment.problem.use
+        recording, use = adjustment.recording, adjustment.problem.used_readings
         rows, observable = np.nonzero(use)
-        unit = np.array([FACTOR[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
+        unit = np.array([SI_PER_UNIT[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
         return cls(
             row=rows + 1,
             station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
             target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
             observable=observable,
             residual=(adjustment.residuals / unit)[use],
-            w=adjustment.w[use],
+            w=adjustment.normalised_residuals[use],
             redundancy=adjustment.redundancy[use],
             covariates=_geometry(adjustment, rows),
         )
@@ -119,7 +119,7 @@ class Residuals:
     @classmethod
     def read(cls, file: Path) -> Residuals:
         """Residuals from a `residuals.csv`; raises RecordError if a column is missing or a field is not a number."""
-        return cls.from_table(RESIDUALS.parsed(read_text(file), file), file)
+        return cls.from_table(RESIDUALS_TABLE.parse_csv(read_text(file), file), file)
 
     def with_covariates(self, other: Residuals | None) -> Residuals:
         """The residuals with the covariates of the same observations in `other`, if given."""

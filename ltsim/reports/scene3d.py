@@ -17,12 +17,16 @@ from ltsim.core.units import DEGREE
 from ltsim.reports import style
 from ltsim.reports.workshop import PlacedWorkshop
 
-WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
-MAX_ARROWS, MAX_METRES = 300, 200
+WALL = "#D5DBE0"
+FLOOR = "#E3E7EA"
+LEG = "#5C6166"
+MAX_ARROWS = 300
+MAX_METRES = 200
 MAX_HIDDEN = 4
 """Largest number of omitted names that the legend lists."""
 MAX_LABELS = 60
-FEW_SPHERES, MANY_SPHERES = 150, 600
+FEW_SPHERES = 150
+MANY_SPHERES = 600
 """Numbers of spheres above which they are drawn with fewer facets."""
 LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 

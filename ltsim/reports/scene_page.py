@@ -14,7 +14,7 @@ from PIL import Image
 from trame_vtk.modules.vtk import serializers
 from trame_vtk.tools.vtksz2html import write_html
 
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.reports import scene3d
 from ltsim.reports.document import CONTENT_SECURITY_POLICY
 from ltsim.reports.words import typeset
@@ -89,7 +89,7 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
         stops = ", ".join(to_hex(scene3d.LINES(x)) for x in np.linspace(0, 1, 9))
         parts.append(
             f'<div id="bar">{escape(label)}<i style="background: linear-gradient(90deg, {stops})"></i>'
-            f"{typeset(number(low))}<span>{typeset(number(high))}</span></div>"
+            f"{typeset(number_text(low))}<span>{typeset(number_text(high))}</span></div>"
         )
     parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
     return "".join(parts)

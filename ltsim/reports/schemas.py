@@ -11,24 +11,24 @@ from typing import Any
 from pydantic import BaseModel
 
 from ltsim.acceptance import files as acceptance
-from ltsim.acceptance.spec import Acceptance
-from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
-from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
-from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
+from ltsim.acceptance.spec import AcceptanceSettings
+from ltsim.adjustment.evaluation.bench import BENCH_TABLE, BenchFile
+from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE, Criteria
+from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE, Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.schema import RESIDUALS, TARGETS
+from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_trials import TRIALS
-from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
-from ltsim.campaigns.spec import Campaign
+from ltsim.campaigns.recovery_trials import TRIALS_TABLE
+from ltsim.campaigns.schema import ROWS_TABLE, ManifestFile, summary_table
+from ltsim.campaigns.spec import CampaignFile
 from ltsim.core.results import Table
 from ltsim.diagnosis import schema as diagnosis
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands import comparison, uncertainty
 from ltsim.measurands.spec import Tasks
 from ltsim.planning import tables as plan_tables
-from ltsim.planning.proposals import NEXT, NextMeasurement
+from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
 from ltsim.planning.result import Plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recordings.files import write_texts
@@ -59,26 +59,26 @@ FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
     "setup.toml": Setup,
     "scenario.toml": Scenario,
-    "campaign.toml": Campaign,
+    "campaign.toml": CampaignFile,
     "plan.toml": PlanFile,
     "tasks.toml": Tasks,
-    "acceptance.toml": Acceptance,
+    "acceptance.toml": AcceptanceSettings,
 }
 """Models of all files, including those that users write, by name."""
 
 TABLES: dict[str, tuple[Table, ...]] = {
-    Calibration.FILE: (TARGETS, RESIDUALS),
-    BenchFile.FILE: (BENCH,),
-    Truth.FILE: (NOMINAL,),
-    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
-    Plan.FILE: plan_tables.TABLES,
-    NextMeasurement.FILE: (NEXT,),
-    ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
-    Check.FILE: (TWO_FACE,),
-    comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
-    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
-    acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
-    Recovery.FILE: (TRIALS,),
+    Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
+    BenchFile.FILE: (BENCH_TABLE,),
+    Truth.FILE: (NOMINAL_TABLE,),
+    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS_TABLE, diagnosis.BEFORE),
+    Plan.FILE: plan_tables.PLAN_TABLES,
+    NextMeasurement.FILE: (PROPOSALS_TABLE,),
+    ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS_TABLE),
+    Check.FILE: (TWO_FACE_TABLE,),
+    comparison.Comparison.FILE: (comparison.DISPLACEMENTS_TABLE,),
+    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS_TABLE, uncertainty.BUDGET_TABLE),
+    acceptance.AcceptanceFile.FILE: (acceptance.TESTS_TABLE,),
+    Recovery.FILE: (TRIALS_TABLE,),
 }
 """Companion tables by the name of their result file."""
 

@@ -22,21 +22,31 @@ from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads
 from ltsim.core.arrays import Floats
 from ltsim.reports.words import typeset
 
-BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-SKY, PURPLE, GREY, PALE, INK = "#56B4E9", "#CC79A7", "#8A8F94", "#E8ECEF", "#22272B"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+RED = "#D55E00"
+SKY = "#56B4E9"
+PURPLE = "#CC79A7"
+GREY = "#8A8F94"
+PALE = "#E8ECEF"
+INK = "#22272B"
 CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
 MARKERS = "osD^vP*X"
 """Markers, which distinguish lines in grey prints."""
-BEFORE, AFTER = GREY, BLUE
+BEFORE = GREY
+AFTER = BLUE
 BAND = "#8A8F9440"
 """Colour of interval bands, transparent for light and dark pages."""
 DIVERGING = "RdBu_r"
-ON_PALE, ON_DEEP = "#23282c", "#fefefe"
+ON_PALE = "#23282c"
+ON_DEEP = "#fefefe"
 """Colours of text on coloured cells."""
 
 WIDTH = 4.9
 """Width of every figure [inch], at which text has nine pixels on a phone."""
-LINE, HANDLE = 75, 8
+LINE = 75
+HANDLE = 8
 """Characters per line of a legend, and characters that the mark of an entry takes."""
 
 _SETTINGS: dict[Any, Any] = {

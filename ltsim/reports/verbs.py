@@ -15,7 +15,7 @@ from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import About
 from ltsim.reports.page import NAME, UNREADABLE, document, render
 from ltsim.reports.workshop import PlacedWorkshop, from_recording, from_scenario, with_cad
-from ltsim.scene.cad import WORDS
+from ltsim.scene.cad import UNIT_WORDS
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
 
@@ -91,7 +91,7 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
     """
-    check_choice("cad_unit", cad_unit, tuple(WORDS), optional=True)
+    check_choice("cad_unit", cad_unit, tuple(UNIT_WORDS), optional=True)
     check_choice("cad_up", cad_up, ("y", "z"), optional=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")

@@ -2,8 +2,8 @@
 
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
-from ltsim.planning.tables import SETUPS
-from ltsim.planning.work_order import checks, settings_of
+from ltsim.planning.tables import SETUPS_TABLE
+from ltsim.planning.work_order import check_sentences, station_instructions
 from ltsim.reports.document import Block, BulletList, Document, Note, Picture, Section, table_block
 from ltsim.reports.page import render, versions
 from ltsim.reports.words import duration
@@ -11,23 +11,30 @@ from ltsim.reports.words import duration
 
 def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
-    survey = plan.network.chosen.survey
+    survey = plan.network.layout.survey
     title = f"Work order: {plan.title or 'the plan'}"
-    section = Section(title=title, kind="Work order", answer=f"{survey.words}.", blocks=_blocks(plan))
+    section = Section(title=title, kind="Work order", answer=f"{survey.extent_text}.", blocks=_blocks(plan))
     return render(Document(title, section.answer, "plain", [section], versions()))
 
 
 def _blocks(plan: Plan) -> list[Block]:
     network = plan.network
-    stations, survey = settings_of(network), network.chosen.survey
-    places = SETUPS.filled(
-        [s.name, *(tape.words for tape in s.tapes), *[""] * (3 - len(s.tapes)), s.towards, s.height] for s in stations
+    stations, survey = station_instructions(network), network.layout.survey
+    places = SETUPS_TABLE.filled(
+        [
+            s.name,
+            *(tape.text for tape in s.tape_distances),
+            *[""] * (3 - len(s.tape_distances)),
+            s.zero_direction_text,
+            s.head_height,
+        ]
+        for s in stations
     )
     note = (
         "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
         "are from the centre of the head to the reflector. Two distances define the place, the third checks it."
     )
-    note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
+    note = " ".join([note, *(f"{s.name}: {s.deficiency_sentence}" for s in stations if s.deficiency_sentence)])
     blocks: list[Block] = [
         *table_block("Places of the tripods", places, note=note),
         Picture(
@@ -35,14 +42,14 @@ def _blocks(plan: Plan) -> list[Block]:
             plan.plot,
             "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        BulletList("Checks", checks(network)),
+        BulletList("Checks", check_sentences(network)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
     for s in stations:
-        again = ", ".join(f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.again.items())
-        head = f"{len(s.order)} points {faces}, {rounds}, {duration(60 * s.minutes)}"
-        text = f"{head}: {', '.join(s.order)}. Again: {again}."
+        again = ", ".join(f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items())
+        head = f"{len(s.target_order)} points {faces}, {rounds}, {duration(60 * s.minutes)}"
+        text = f"{head}: {', '.join(s.target_order)}. Again: {again}."
         blocks.append(Note(f"{s.name}: order of work", text))
     blocks += _before(plan)
     text = (
@@ -58,5 +65,5 @@ def _before(plan: Plan) -> list[Block]:
     worth = [change for change in plan.reflector_changes if change.do != "remove"]
     if not worth:
         return []
-    lines = [f"{c.deed}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
+    lines = [f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
     return [BulletList("Possible improvements: one of these (z from the floor), then plan again", lines)]

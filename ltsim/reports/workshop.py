@@ -16,16 +16,18 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
-from ltsim.scene.cad import read_mesh, size_question
-from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
+from ltsim.scene.cad import implausible_size_question, read_mesh
+from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_opening, shadow_radii
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
+from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
 SECOND_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 MAX_TRACKER_HEIGHT = 3.0
 """Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
-MIN_NORMAL_COMPONENT, MAX_DEPTH_DIFFERENCE, FLOOR_MARGIN = 0.25, 0.2, 0.4
+MIN_NORMAL_COMPONENT = 0.25
+MAX_DEPTH_DIFFERENCE = 0.2
+FLOOR_MARGIN = 0.4
 """Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
 [m] of the floor around stations and targets."""
 
@@ -82,12 +84,12 @@ class PlacedWorkshop(ValueEquality):
     @property
     def openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: by the elevation limit, and the alternative of the paper."""
-        limit = cone_opening(self.elevation_min)
+        limit = shadow_cone_opening(self.elevation_min)
         return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """Radius on the floor of the cone with a full angle `opening`, (S,) [m]."""
-        return shadow_radius(self.position, self.floor_height, opening)
+        return shadow_radii(self.position, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
@@ -120,17 +122,17 @@ class PlacedWorkshop(ValueEquality):
 def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) -> PlacedWorkshop:
     """Workshop of an adjusted network; `plain` is the adjustment without parameters, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
-    worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
+    worst = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
     placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, number = placed[recording.target], np.cumsum(placed) - 1
-    correction = None if plain is None else (state.points - plain.state.points)[placed]
+    correction = None if plain is None else (state.target_points - plain.state.target_points)[placed]
     network = PlacedWorkshop(
         title=recording.setup.title,
         stations=recording.stations,
-        position=state.position,
-        rotation=state.rotation,
+        position=state.station_positions,
+        rotation=state.station_rotations,
         targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
-        points=state.points[placed],
+        points=state.target_points[placed],
         sights=Sights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
         ),
@@ -145,14 +147,14 @@ def from_recording(recording: Recording) -> PlacedWorkshop:
     plain = adjust(recording)
     plain.solution.require_success()
     full = adjust(recording, declared_construction(recording))
-    return from_adjustment(full if full.solution.converged else plain, plain=plain)
+    return from_adjustment(full if full.solution.has_converged else plain, plain=plain)
 
 
 def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     """Network in the frame of the floor plan of the set-up, if there is one, with floor, walls and gauge."""
-    plan = FloorPlan.by(setup, network.stations, network.position, network.rotation)
-    turn, planned = plan.rotation, plan.on_plan
-    points, position = plan.place(network.points), plan.place(network.position)
+    plan = FloorPlan.from_positions(setup, network.stations, network.position, network.rotation)
+    turn, planned = plan.rotation, plan.has_plan
+    points, position = plan.positions_on_plan(network.points), plan.positions_on_plan(network.position)
     normal = _nest_normals(setup, network.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
     height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
@@ -236,29 +238,29 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     SetupError
         When the scenario's gauge or one of its CAD files is impossible.
     """
-    layout = planned(scenario)
-    table = visibility_of(scenario, layout)
-    obstacles = obstacles_of(scenario)
-    hidden = int((~table.visible).sum())
-    lost = (f"{hidden} of {table.visible.size} lines of sight are blocked.",) if hidden else ()
+    layout = planned_layout(scenario)
+    table = make_visibility(scenario, layout)
+    obstacles = make_obstacles(scenario)
+    hidden = int((~table.is_visible).sum())
+    lost = (f"{hidden} of {table.is_visible.size} lines of sight are blocked.",) if hidden else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
-    gauge = range(len(scenario.targets), len(layout.targets))
+    gauge = range(len(scenario.targets), len(layout.target_names))
     return PlacedWorkshop(
         title=scenario.title,
-        stations=layout.stations,
-        position=layout.position,
-        rotation=layout.rotation,
-        targets=layout.targets,
-        points=layout.points,
-        nest_normal=np.where(layout.reaimed[:, None], np.nan, layout.nest_normal),
+        stations=layout.station_names,
+        position=layout.station_positions,
+        rotation=layout.station_rotations,
+        targets=layout.target_names,
+        points=layout.target_points,
+        nest_normal=np.where(layout.is_reaimed[:, None], np.nan, layout.nest_normals),
         floor=floor,
         walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
         gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
-        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers.values()) * DEGREE,
+        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_sights(layout, table),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        hidden=np.argwhere(table.reason == Reason.OBSTACLE),
+        hidden=np.argwhere(table.reasons == InvisibilityReason.OBSTACLE),
         notes=lost,
     )
 
@@ -272,12 +274,12 @@ def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: 
         When the file cannot be read, or its size is implausible.
     """
     cad = read_mesh(file, unit, up)
-    if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):
+    if asked := implausible_size_question(cad, np.ptp(workshop.floor, axis=0)):
         raise SetupError(asked)
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
 
 
-def _sights(layout: Layout, table: Visibility) -> Sights:
-    station, target = np.nonzero(table.visible)
-    elevation = table.elevation[station, target] / DEGREE
+def _sights(layout: WorkshopLayout, table: Visibility) -> Sights:
+    station, target = np.nonzero(table.is_visible)
+    elevation = table.elevations[station, target] / DEGREE
     return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

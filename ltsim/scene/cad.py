@@ -15,20 +15,23 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError, installed
 from ltsim.core.limits import CAD_BYTES, MIB
-from ltsim.core.units import FACTOR
-from ltsim.recordings.files import shown
-from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.recordings.files import quoted_text
+from ltsim.scene.cad_process import EXACT_SUFFIXES, FACET_SUFFIXES, read_triangles
 
-GLTF = (".glb", ".gltf")
-SUFFIXES = (*FACETS, *GLTF, *EXACT)
-WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
+GLTF_SUFFIXES = (".glb", ".gltf")
+"""Suffixes of glTF files."""
+CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SUFFIXES)
+"""Suffixes of all CAD files that are read."""
+UNIT_WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
+"""Words for the units of CAD files."""
 MAX_SPACING_MM = 1.0
 """Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
 to the millimetre, and lines of sight pass bodies at a few centimetres.
 """
-SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF)
+SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
-MIN_RELATIVE_LENGTH = FACTOR["mm"] / FACTOR["in"]
+MIN_RELATIVE_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
 """Length of a body as a fraction of the room's length below which its numbers may be inches."""
 MAX_OVERHANG = 0.05
 """Distance [m] by which a body may extend beyond the room or below its floor."""
@@ -51,52 +54,54 @@ class CadFile:
     """Triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
     """Unit used for reading, `mm`, `m` or `in`; empty for a format that states its unit."""
-    up: str
+    vertical_axis: str
     """Vertical axis of the file, `y` or `z`."""
-    sure: bool
+    has_declared_unit: bool
     """True if the file or the user states the unit."""
 
     @property
-    def read_as(self) -> str:
+    def interpretation_text(self) -> str:
         """Description of the unit and the vertical axis that the file was read with."""
         kind = self.file.suffix[1:].upper()
-        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
-        return f"{unit}, {self.up} up"
+        unit = f"numbers taken for {UNIT_WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
+        return f"{unit}, {self.vertical_axis} up"
 
     @property
-    def turned(self) -> Floats:
+    def with_other_vertical(self) -> Floats:
         """Triangles (m, 3, 3) for the other vertical axis (y and z exchanged)."""
-        return self.triangles @ (Y_UP_TO_Z_UP if self.up == "y" else Y_UP_TO_Z_UP.T)
+        return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> CadFile:
-    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) replace the convention of its format.
+    """A CAD file; `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of its format.
 
     Raises SetupError.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
-    if suffix in EXACT and unit is not None:
+    if suffix not in CAD_SUFFIXES:
+        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
+    if suffix in EXACT_SUFFIXES and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
-    turned = up or ("y" if suffix in GLTF else "z")
-    file_unit = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
+    turned = up or ("y" if suffix in GLTF_SUFFIXES else "z")
+    file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
         if status.st_size > CAD_BYTES:
             raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the limit for reading")
-        triangles = _triangles(path, status.st_mtime_ns, FACTOR[file_unit or "m"], turned)
+        triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return CadFile(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
+    return CadFile(path, triangles, file_unit, turned, suffix in EXACT_SUFFIXES or unit is not None)
 
 
 @lru_cache(maxsize=8)
-def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
+def _read_triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
-    triangles = _in_file_units(path, factor)
+    triangles = _triangles_in_file_units(path, factor)
     parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
-    corners = np.concatenate([_on_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts])
+    corners = np.concatenate(
+        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts]
+    )
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
         raise SetupError(
@@ -108,7 +113,7 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     return settled
 
 
-def _on_grid(triangles: Floats, up: str) -> Ints:
+def _rounded_to_grid(triangles: Floats, up: str) -> Ints:
     """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
 
     Each triangle starts with its first corner.
@@ -122,33 +127,34 @@ def _on_grid(triangles: Floats, up: str) -> Ints:
     return corners[whole].reshape(-1, 9)
 
 
-def _in_file_units(path: Path, factor: float) -> Floats:
+def _triangles_in_file_units(path: Path, factor: float) -> Floats:
     """Triangles (m, 3, 3) in the unit (`factor` metres) and axes of the file.
 
     Those of a CAD model with exact surfaces in metres.
     """
     suffix = path.suffix.lower()
-    if suffix in EXACT and not installed("cascadio"):
+    if suffix in EXACT_SUFFIXES and not installed("cascadio"):
         raise SetupError(
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
         raise SetupError(
-            f"{path}: keeps its surfaces in other files ({shown(others[0].decode(errors='replace'))}); export it as "
+            f"{path}: keeps its surfaces in other files "
+            f"({quoted_text(others[0].decode(errors='replace'))}); export it as "
             ".glb, or as .gltf with everything in it"
         )
-    triangles = triangles_in(path)
-    _check_precision(path, triangles, factor)
+    triangles = read_triangles(path)
+    _require_precision(path, triangles, factor)
     return triangles
 
 
-def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
+def _require_precision(path: Path, triangles: Floats, factor: float) -> None:
     """Check that rounding of coordinates (unit `factor` metres) is below `MAX_SPACING_MM`; raises SetupError."""
     single = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
         return
-    step = float(np.spacing(np.abs(single).max())) * factor / FACTOR["mm"]
+    step = float(np.spacing(np.abs(single).max())) * factor / SI_PER_UNIT["mm"]
     if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
@@ -156,28 +162,28 @@ def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
         )
 
 
-def extent(triangles: Floats) -> str:
+def extent_text(triangles: Floats) -> str:
     """Size and position of triangles (m, 3, 3) [m] as text."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     size = " x ".join(f"{v:.3g}" for v in high - low)
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
-def size_question(cad: CadFile, room: Floats) -> str:
+def implausible_size_question(cad: CadFile, room: Floats) -> str:
     """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
     length, least, most = np.ptp(cad.triangles, axis=(0, 1)), MIN_RELATIVE_LENGTH * room.max(), 1.5 * room.max()
-    if cad.sure or least <= length.max() <= most:
+    if cad.has_declared_unit or least <= length.max() <= most:
         return ""
-    others = {unit: length.max() * FACTOR[unit] / FACTOR[cad.unit] for unit in WORDS if unit != cad.unit}
+    others = {unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad.unit] for unit in UNIT_WORDS if unit != cad.unit}
     fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not declare; "
+        f"{cad.file}: is {size} m large if its numbers are {UNIT_WORDS[cad.unit]}, which it does not declare; "
         f'set unit = {other}, or unit = "{cad.unit}" if this is correct'
     )
 
 
-def inside(triangles: Floats, room: Floats) -> bool:
+def is_inside_room(triangles: Floats, room: Floats) -> bool:
     """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room + MAX_OVERHANG))

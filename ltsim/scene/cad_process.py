@@ -19,18 +19,20 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.limits import CAD_MEMORY, CAD_SECONDS, FILE_BYTES, MIB, SMALL_CAD_BYTES, TRIANGLES
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 
-EXACT = (".step", ".stp", ".iges", ".igs")
-FACETS = (".stl", ".obj", ".ply")
+EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
+"""Suffixes of files with exact surfaces."""
+FACET_SUFFIXES = (".stl", ".obj", ".ply")
+"""Suffixes of files with triangles or polygons."""
 MAX_DEVIATION_MM = 1.0
 """Largest distance [mm] of a triangle from the exact surface, sufficient for lines of sight."""
-_START = "from ltsim.scene.cad_process import main; main()"
-_REFUSED = 3
+_START_CODE = "from ltsim.scene.cad_process import main; main()"
+_REFUSED_STATUS = 3
 """Exit status of a process whose library raised an error; the error is on standard error."""
 
 
-def triangles_in(path: Path) -> Floats:
+def read_triangles(path: Path) -> Floats:
     """Triangles (m, 3, 3) in the unit and axes of a file; those of a model with exact surfaces in metres.
 
     Raises SetupError.
@@ -38,21 +40,21 @@ def triangles_in(path: Path) -> Floats:
     content = path.read_bytes()
     suffix = path.suffix.lower()
     if suffix == ".stl":
-        _check_count(path, facets_of_stl(content))
-    if suffix == ".stl" or (suffix in FACETS and len(content) <= SMALL_CAD_BYTES):
+        _require_few_triangles(path, max_stl_facets(content))
+    if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= SMALL_CAD_BYTES):
         try:
-            triangles = triangles_of(content, suffix)
+            triangles = parse_triangles(content, suffix)
         except Exception as problem:  # readers of all these formats raise whatever they meet
-            raise _not_whole(path, type(problem).__name__) from None
+            raise _incomplete_file_error(path, type(problem).__name__) from None
     else:
         triangles = _read_in_process(path, len(content))
-    _check_count(path, len(triangles))
+    _require_few_triangles(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: contains no surface of triangles with finite coordinates")
     return triangles
 
 
-def facets_of_stl(content: bytes) -> int:
+def max_stl_facets(content: bytes) -> int:
     """Upper bound of the number of facets of an STL file: from its length (binary) or its keywords (text)."""
     count = (len(content) - 84) // 50
     if len(content) >= 84 and int.from_bytes(content[80:84], "little") == count:
@@ -60,28 +62,28 @@ def facets_of_stl(content: bytes) -> int:
     return content.lower().count(b"vertex") // 3
 
 
-def _check_count(path: Path, count: int) -> None:
+def _require_few_triangles(path: Path, count: int) -> None:
     if count > TRIANGLES:
         raise SetupError(
             f"{path}: holds {count} triangles, at most {TRIANGLES} are read; export it with a coarser mesh"
         )
 
 
-def _not_whole(path: Path, reason: str) -> SetupError:
-    return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({shown(reason)})")
+def _incomplete_file_error(path: Path, reason: str) -> SetupError:
+    return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({quoted_text(reason)})")
 
 
 def _read_in_process(path: Path, size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
     share = max(1.0, size / FILE_BYTES)
     limits = [str(int(share * CAD_MEMORY)), str(int(share * CAD_SECONDS))]
-    words = [sys.executable, "-P", "-c", _START, str(path.resolve()), *limits]
+    words = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     done = subprocess.run(words, capture_output=True, check=False, env={**os.environ, **single})
-    if done.returncode == _REFUSED:
+    if done.returncode == _REFUSED_STATUS:
         reason = done.stderr.decode(errors="replace").strip()
         if reason != MemoryError.__name__:
-            raise _not_whole(path, reason)
+            raise _incomplete_file_error(path, reason)
     if done.returncode:
         most = f"{share * CAD_MEMORY / MIB:.0f} MiB and {share * CAD_SECONDS:.0f} s"
         what = f"cannot be read within {most} of memory and time, or is damaged"
@@ -89,25 +91,25 @@ def _read_in_process(path: Path, size: int) -> Floats:
     return np.frombuffer(done.stdout, dtype=np.float64).reshape(-1, 3, 3)
 
 
-def main() -> None:
+def run_process() -> None:
     """Entry point of the process: it writes the triangles of a file to standard output.
 
     The arguments are the file, the memory [bytes] and the processor time [s].
     """
     path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-    limit_to(memory, seconds)
+    limit_process(memory, seconds)
     try:
         with path.open("rb") as stream, without_library_output():
-            triangles = triangles_of(stream.read(), path.suffix.lower())
+            triangles = parse_triangles(stream.read(), path.suffix.lower())
         if len(triangles) > TRIANGLES:
             raise MemoryError
     except Exception as problem:  # whatever the libraries raise
         sys.stderr.write(type(problem).__name__)
-        sys.exit(_REFUSED)
+        sys.exit(_REFUSED_STATUS)
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
-def limit_to(memory: int, seconds: int) -> None:
+def limit_process(memory: int, seconds: int) -> None:
     """Limits of this process on memory beyond its libraries [bytes] and on processor time [s], where supported."""
     with suppress(ImportError, ValueError, OSError):
         import resource
@@ -121,14 +123,14 @@ def limit_to(memory: int, seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory, reserved + memory))
 
 
-def triangles_of(content: bytes, suffix: str) -> Floats:
+def parse_triangles(content: bytes, suffix: str) -> Floats:
     """Triangles (m, 3, 3) of a file's content, by its suffix; errors of the libraries are passed on."""
     import trimesh  # a third of a second that few need
 
-    if suffix in EXACT:
+    if suffix in EXACT_SUFFIXES:
         import cascadio
 
-        kind = cascadio.FileType.STEP if suffix in EXACT[:2] else cascadio.FileType.IGES
+        kind = cascadio.FileType.STEP if suffix in EXACT_SUFFIXES[:2] else cascadio.FileType.IGES
         content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
     mesh: Any = trimesh.load(
         BytesIO(content),

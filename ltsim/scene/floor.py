@@ -16,12 +16,12 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
 from ltsim.scene.meshes import Obstacles
 
-Corner = tuple[Finite, Finite]
-Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
-Heights = tuple[Positive, Positive]
-HEAD_ROOM = 0.3
+PlanPoint = tuple[Finite, Finite]
+PlanOutline = Annotated[tuple[PlanPoint, ...], Field(min_length=3, max_length=500)]
+HeightRange = tuple[Positive, Positive]
+MIN_HEAD_ROOM = 0.3
 """Free height [m] above the centre of an instrument's head."""
-DEFAULT_PLACES = 250
+N_DEFAULT_PLACES = 250
 """Number of grid positions that cover the floor if no step is given; stations are refined off the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
 """Distance [m] within which a position counts as on an edge."""
@@ -32,11 +32,11 @@ class FloorArea(TomlSection):
 
     name: str = ""
     """Name of the area in figures and messages."""
-    corners_mm: Corners
+    corners_mm: PlanOutline
     """Coordinates x and y of the corners of the area, in order around it."""
-    holes_mm: tuple[Corners, ...] = ()
+    holes_mm: tuple[PlanOutline, ...] = ()
     """Outlines of openings in the area, such as a pit."""
-    height_mm: Heights | None = None
+    height_mm: HeightRange | None = None
     """Lowest and highest centre of the instrument's head in this area; default those of the whole floor."""
     ceiling_mm: Positive | None = None
     """Height of an overhead structure above this area, such as a gallery: heads stay 300 mm below it. An obstacle is
@@ -49,7 +49,7 @@ class FreePlace(TomlSection):
 
     name: str = ""
     """Name of the area in figures."""
-    corners_mm: Corners
+    corners_mm: PlanOutline
     """Coordinates x and y of the corners of the area, in order around it."""
     clear_mm: NonNegative = 0.0
     """Distance to be kept free around the area."""
@@ -60,9 +60,9 @@ class Door(TomlSection):
 
     name: str = ""
     """Name of the door in figures."""
-    from_mm: Corner
+    from_mm: PlanPoint
     """Coordinates x and y of one side of the opening."""
-    to_mm: Corner
+    to_mm: PlanPoint
     """Coordinates x and y of the other side."""
     clear_mm: NonNegative = 1500.0
     """Distance to be kept free in front of the door."""
@@ -71,11 +71,11 @@ class Door(TomlSection):
 class Floor(TomlSection):
     """Floor on which tripods may stand; by default the whole room except a margin along the walls."""
 
-    corners_mm: Corners | None = None
+    corners_mm: PlanOutline | None = None
     """Corners of the floor, x and y, in order around it; default those of the room."""
     margin_mm: NonNegative = 600.0
     """Distance to be kept from the walls if neither corners nor areas are given."""
-    height_mm: Heights | None = None
+    height_mm: HeightRange | None = None
     """Lowest and highest centre of the instrument's head; default those of the scenario's stations."""
     areas: tuple[FloorArea, ...] = ()
     """Tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of them."""
@@ -96,7 +96,7 @@ class Floor(TomlSection):
 
 def areas_and_keep_outs(
     floor: Floor, size_mm: tuple[float, float, float], heights: tuple[float, float]
-) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
+) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
     """Areas where tripods may stand, and the keep-out areas in them [m].
 
     `size_mm` is the size of the room; `heights` [m] are the heights of heads where neither floor nor area states them.
@@ -105,30 +105,32 @@ def areas_and_keep_outs(
     """
     mm = MILLIMETRE
     usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
-    parts = floor.areas or (FloorArea(corners_mm=floor.corners_mm or _room(floor, size_mm)),)
+    parts = floor.areas or (FloorArea(corners_mm=floor.corners_mm or _room_outline(floor, size_mm)),)
     areas = []
     for i, part in enumerate(parts, 1):
         key = f"floor.areas.{i}.corners_mm" if floor.areas else "floor.corners_mm"
         low, high = usual if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
         if part.ceiling_mm is not None:
-            high = min(high, part.ceiling_mm * mm - HEAD_ROOM)
+            high = min(high, part.ceiling_mm * mm - MIN_HEAD_ROOM)
         if low > high:
             raise SetupError(
                 f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads are at {low / mm:g} mm and more; "
                 "give the area a lower height_mm"
             )
-        outline = _outline(key, part.corners_mm, size_mm)
-        holes = tuple(_outline(f"floor.areas.{i}.holes_mm.{k}", hole) for k, hole in enumerate(part.holes_mm, 1))
-        areas.append(Area(outline, (low, high), holes))
+        outline = _outline_in_metres(key, part.corners_mm, size_mm)
+        holes = tuple(
+            _outline_in_metres(f"floor.areas.{i}.holes_mm.{k}", hole) for k, hole in enumerate(part.holes_mm, 1)
+        )
+        areas.append(StandingArea(outline, (low, high), holes))
     free = [
-        KeepOut(_outline(f"floor.keep_outs.{i}.corners_mm", place.corners_mm), place.clear_mm * mm)
+        KeepOutArea(_outline_in_metres(f"floor.keep_outs.{i}.corners_mm", place.corners_mm), place.clear_mm * mm)
         for i, place in enumerate(floor.keep_outs, 1)
     ]
-    free += [KeepOut(np.array([door.from_mm, door.to_mm]) * mm, door.clear_mm * mm) for door in floor.doors]
+    free += [KeepOutArea(np.array([door.from_mm, door.to_mm]) * mm, door.clear_mm * mm) for door in floor.doors]
     return tuple(areas), tuple(free)
 
 
-def _room(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[Corner, ...]:
+def _room_outline(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
     """Corners of the room, moved inwards by the margin."""
     (wide, deep, _), margin = size_mm, floor.margin_mm
     if 2 * margin >= min(wide, deep):
@@ -136,7 +138,9 @@ def _room(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[Corner, ..
     return (margin, margin), (wide - margin, margin), (wide - margin, deep - margin), (margin, deep - margin)
 
 
-def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, float, float] | None = None) -> np.ndarray:
+def _outline_in_metres(
+    key: str, corners_mm: tuple[PlanPoint, ...], size_mm: tuple[float, float, float] | None = None
+) -> np.ndarray:
     """Corners (k, 2) [m] of an outline.
 
     Raises SetupError if it crosses itself or leaves the room (if a size is given).
@@ -157,7 +161,7 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
 
 
 @dataclass(frozen=True)
-class Area:
+class StandingArea:
     """Area of the floor where tripods may stand."""
 
     outline: Floats
@@ -167,43 +171,45 @@ class Area:
     holes: tuple[Floats, ...] = ()
     """Outlines of the openings, each (k, 2) [m]."""
 
-    def holds(self, position: Floats) -> Bools:
+    def contains_instrument(self, position: Floats) -> Bools:
         """Flags (N,) of the instrument positions (N, 3) [m] that lie in this area and its height limits."""
         low, high = self.heights
         return np.asarray(
-            self.covers(position[:, :2])
+            self.covers_places(position[:, :2])
             & (position[:, 2] > low - EDGE_TOLERANCE)
             & (position[:, 2] < high + EDGE_TOLERANCE)
         )
 
-    def covers(self, places: Floats) -> Bools:
+    def covers_places(self, places: Floats) -> Bools:
         """Flags (N,) of the places (N, 2) [m] that lie in the area and outside its openings."""
-        good = inside(self.outline, places)
+        good = is_inside_outline(self.outline, places)
         for hole in self.holes:
-            good &= ~inside(hole, places)
+            good &= ~is_inside_outline(hole, places)
         return good
 
 
 @dataclass(frozen=True)
-class KeepOut:
-    """Keep-out area: places within `clear` [m] of an outline (k, 2), or of the segment between two points (2, 2)."""
+class KeepOutArea:
+    """Keep-out area: places within a distance [m] of an outline (k, 2), or of a segment (2, 2)."""
 
     outline: Floats
-    clear: float = 0.0
+    """Corners of the outline (k, 2), or ends of a segment (2, 2) [m]."""
+    clearance: float = 0.0
+    """Distance [m] to be kept free around the outline."""
 
-    def holds(self, places: Floats) -> Bools:
+    def contains_places(self, places: Floats) -> Bools:
         """Flags (N,) of the places (N, 2) that lie in this keep-out area."""
-        near = distance(self.outline, places) < self.clear + EDGE_TOLERANCE
-        return near | inside(self.outline, places) if len(self.outline) > 2 else near
+        near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
+        return near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else near
 
 
-def distance(outline: Floats, places: Floats) -> Floats:
+def distance_to_outline(outline: Floats, places: Floats) -> Floats:
     """Distance (N,) [m] from places (N, 2) to an outline (k, 2), or to the segment between two points (2, 2)."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
     return np.asarray(shapely.distance(edges, shapely.points(places)))
 
 
-def inside(outline: Floats, places: Floats) -> Bools:
+def is_inside_outline(outline: Floats, places: Floats) -> Bools:
     """Flags (N,) of the places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
     return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE_TOLERANCE)
 
@@ -227,53 +233,53 @@ def outline_error(outline: Floats) -> str:
     return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
-def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
+def grid_step(areas: Sequence[StandingArea], grid_mm: float | None) -> float:
     """Step [m] of a grid of places.
 
-    By default `DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
+    By default `N_DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
     """
     if grid_mm is not None:
         return grid_mm * MILLIMETRE
     size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
-    return max(round(float(np.sqrt(size / DEFAULT_PLACES)), 1), 0.5)
+    return max(round(float(np.sqrt(size / N_DEFAULT_PLACES)), 1), 0.5)
 
 
-def may_stand(
-    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+def is_allowed_position(
+    areas: Sequence[StandingArea], keep_outs: Sequence[KeepOutArea], obstacles: Obstacles | None, position: Floats
 ) -> Bools:
     """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand."""
     good = np.zeros(len(position), dtype=bool)
     for area in areas:
-        good |= area.holds(position)
+        good |= area.contains_instrument(position)
     for place in keep_outs:
-        good &= ~place.holds(position[:, :2])
+        good &= ~place.contains_places(position[:, :2])
     if obstacles is not None and good.any():
-        good[good] = ~obstacles.encloses(position[good])
+        good[good] = ~obstacles.is_enclosed(position[good])
     return good
 
 
-def reason_against(
-    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+def refusal_reason(
+    areas: Sequence[StandingArea], keep_outs: Sequence[KeepOutArea], obstacles: Obstacles | None, position: Floats
 ) -> str:
     """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
 
     It is empty if one may.
     """
-    if may_stand(areas, keep_outs, obstacles, position[None])[0]:
+    if is_allowed_position(areas, keep_outs, obstacles, position[None])[0]:
         return ""
-    place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
+    place, under = position[None, :2], [area for area in areas if area.covers_places(position[None, :2])[0]]
     if not under:
         return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
-    if not any(area.holds(position[None])[0] for area in under):
+    if not any(area.contains_instrument(position[None])[0] for area in under):
         low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
-    if any(free.holds(place)[0] for free in keep_outs):
+    if any(free.contains_places(place)[0] for free in keep_outs):
         return "on floor that is kept free (floor.keep_outs, floor.doors)"
     return "inside an obstacle (workshop.obstacles)"
 
 
-def grid_over(area: Area, step: float, heights: int) -> Floats:
+def grid_over_area(area: StandingArea, step: float, heights: int) -> Floats:
     """Grid (N, 3) [m] over the bounding rectangle of an area, at each of its heights."""
     low, high = area.outline.min(axis=0), area.outline.max(axis=0)
     count = np.maximum(np.ceil((high - low) / step).astype(int), 1)

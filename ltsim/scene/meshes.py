@@ -15,29 +15,32 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z, perpendicular
+from ltsim.geometry.rotations import perpendicular_vectors, rotation_about_z
 
-BUNDLE_RADIUS = 1e-4
+RAY_BUNDLE_RADIUS = 1e-4
 """Half-width [m] of the bundle of rays around a line of sight whose results must agree; single precision errs by 1e-6 m
 at 10 m.
 """
-END = 1e-6
-CHUNK = 2_000_000
-UPWARDS = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
+RAY_END_MARGIN = 1e-6
+"""Fraction of a ray at its end that is not tested, so that a point on a surface is not hidden by it."""
+MAX_RAY_TRIANGLE_PAIRS = 2_000_000
+"""Largest number of pairs of ray and triangle that are tested together."""
+TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
 """Direction of vertical test rays, tilted slightly so that they do not run along the edges of upright boxes."""
-SMOOTH_ANGLE = np.radians(35.0)
+MAX_SMOOTH_ANGLE = np.radians(35.0)
 """Angle [rad] between neighbouring triangles below which they count as one curved surface."""
-CYLINDER_SIDES = 64
+N_CYLINDER_SIDES = 64
 """Number of sides of a cylinder; its corners are 0.1 % outside the diameter."""
-FOOT_RADIUS = 0.025
+NEST_FOOT_RADIUS = 0.025
 """Radius [m] of the foot of a nest."""
-MAX_UNEVENNESS = 0.002
+MAX_NEST_UNEVENNESS = 0.002
 """Largest deviation [m] of the surface from a plane under the foot of a nest."""
 MIN_NORMAL_Z = -0.5
 """Smallest vertical component of a face's normal: steeper overhanging faces carry no nest."""
-DRAWS_PER_PLACE = 12.0
+N_DRAWS_PER_PLACE = 12.0
 """Number of random places drawn per square of the wanted spacing, before places too near to others are dropped."""
-MAX_DRAWN = 20_000
+MAX_DRAWN_PLACES = 20_000
+"""Largest number of random places that are drawn on a body."""
 MERGE_DECIMALS = 8
 """Number of decimals [m] to which corners are rounded when equal corners are merged."""
 UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
@@ -54,11 +57,11 @@ class Obstacles:
 
     triangles: Floats
     """Corners of the triangles, (m, 3, 3) [m]."""
-    floor: float = 0.0
+    floor_height: float = 0.0
     """Height [m] of the floor on which tripods stand."""
 
     @cached_property
-    def _rays(self) -> Any:
+    def _ray_caster(self) -> Any:
         """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
         if not len(self.triangles):
             return None
@@ -71,69 +74,69 @@ class Obstacles:
         faces = np.arange(3 * len(self.triangles)).reshape(-1, 3)
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
-    def blocked(self, origins: Floats, ends: Floats) -> Bools:
+    def is_blocked(self, origins: Floats, ends: Floats) -> Bools:
         """Flags (n,): a triangle lies between an origin and an end (n, 3) [m]; touching an edge counts."""
-        hit = self._met(origins, ends)
-        if self._rays is None or not hit.size:
+        hit = self._is_met(origins, ends)
+        if self._ray_caster is None or not hit.size:
             return hit
         length = np.linalg.norm(ends - origins, axis=1)
         beam = (ends - origins) / length[:, None]
-        side, other = (BUNDLE_RADIUS * way for way in perpendicular(beam))
-        votes = [self._met(origins + shift, ends + shift) for shift in (side, -side, other, -other)]
+        side, other = (RAY_BUNDLE_RADIUS * way for way in perpendicular_vectors(beam))
+        votes = [self._is_met(origins + shift, ends + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
-        hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
+        hit[doubtful] = count_native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
         return hit
 
-    def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
-        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
+    def is_blocked_near(self, origins: Floats, ends: Floats, position_tolerance: float) -> Bools:
+        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument that may stand off `origins` (n, 3) [m].
 
         Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
         that an edge of a body is not missed.
         """
         sight = ends - origins
-        side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
+        side, other = perpendicular_vectors(sight / np.linalg.norm(sight, axis=1, keepdims=True))
         hit = np.zeros(len(origins), dtype=bool)
-        for across, up in product((-play, play), repeat=2):
+        for across, up in product((-position_tolerance, position_tolerance), repeat=2):
             open_rows = np.flatnonzero(~hit)
             start = origins[open_rows] + across * side[open_rows] + up * other[open_rows]
-            hit[open_rows] = self._met(start, ends[open_rows])  # at such a distance single precision is enough
+            hit[open_rows] = self._is_met(start, ends[open_rows])  # at such a distance single precision is enough
         return hit
 
-    def _met(self, origins: Floats, ends: Floats) -> Bools:
+    def _is_met(self, origins: Floats, ends: Floats) -> Bools:
         """Flags (n,): a triangle lies between origin and end, to the precision of the ray caster in use."""
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(ends - origins, axis=1)
         beam = (ends - origins) / length[:, None]
-        if self._rays is None:
-            return np.asarray(native_hits(self.triangles, origins, beam, length) > 0)
-        point, ray, _ = self._rays.intersects_location(origins, beam, multiple_hits=False)
+        if self._ray_caster is None:
+            return np.asarray(count_native_hits(self.triangles, origins, beam, length) > 0)
+        point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
-        hit[ray] = way < length[ray] - BUNDLE_RADIUS
+        hit[ray] = way < length[ray] - RAY_BUNDLE_RADIUS
         return hit
 
-    def holds(self, points: Floats) -> Bools:
+    def is_inside_body(self, points: Floats) -> Bools:
         """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of surfaces."""
-        (west, south), (east, north) = self._above
+        (west, south), (east, north) = self._bounding_rectangles
         flat = _projected_along_upwards(points)
         count = np.zeros(len(points), dtype=np.int64)
-        step = max(1, CHUNK // max(len(self.triangles), 1))
+        step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(self.triangles), 1))
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
-            met = _is_hit(self.triangles[t], points[start + i], UPWARDS, np.inf)
+            met = _ray_hits_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
             count[start : start + step] = np.bincount(i[met], minlength=len(x))
         return count % 2 == 1
 
     @cached_property
-    def _above(self) -> tuple[Floats, Floats]:
+    def _bounding_rectangles(self) -> tuple[Floats, Floats]:
         """Corners (2, m) of the bounding rectangles of the triangles, seen from above."""
         flat = _projected_along_upwards(self.triangles)
-        return flat.min(axis=1).T - END, flat.max(axis=1).T + END
+        return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
     @cached_property
-    def _open(self) -> Floats:
+    def _mesh_tolerances(self) -> Floats:
         """Distance (m,) [m] from each triangle within which the curved surface that it approximates may lie.
 
         Zero at sharp edges.
@@ -147,9 +150,9 @@ class Obstacles:
         _, kind, often = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(kind.ravel(), kind="stable")
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
-        normal, area = _normals(points[faces])
-        angle = np.arccos(np.clip(_dot(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
-        shared, angle = shared[angle < SMOOTH_ANGLE], angle[angle < SMOOTH_ANGLE]
+        normal, area = _normals_and_areas(points[faces])
+        angle = np.arccos(np.clip(_row_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
+        shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
         edge = np.linalg.norm(np.diff(points[sides[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
@@ -157,64 +160,68 @@ class Obstacles:
         return depth
 
     @cached_property
-    def _put(self) -> dict[bytes, Floats]:
+    def _moved_points_cache(self) -> dict[bytes, Floats]:
         """Cache of `moved_to_surface` by the bytes of its points: the same points are tested many times."""
         return {}
 
     def moved_to_surface(self, points: Floats) -> Floats:
         """Points (n, 3) [m]; those inside a body by less than its mesh tolerance are moved just above its surface."""
-        if (key := points.tobytes()) not in self._put:
+        if (key := points.tobytes()) not in self._moved_points_cache:
             projected = points.copy()
-            for i in np.flatnonzero(self.holds(points)):
+            for i in np.flatnonzero(self.is_inside_body(points)):
                 nearest = nearest_points(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
-                if END < gap[best] < self._open[best] + BUNDLE_RADIUS:
-                    projected[i] = nearest[best] + BUNDLE_RADIUS * (nearest[best] - points[i]) / gap[best]
-            self._put[key] = projected
-        return self._put[key]
+                if RAY_END_MARGIN < gap[best] < self._mesh_tolerances[best] + RAY_BUNDLE_RADIUS:
+                    projected[i] = nearest[best] + RAY_BUNDLE_RADIUS * (nearest[best] - points[i]) / gap[best]
+            self._moved_points_cache[key] = projected
+        return self._moved_points_cache[key]
 
-    def encloses(self, points: Floats) -> Bools:
+    def is_enclosed(self, points: Floats) -> Bools:
         """Flags (n,) of positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
-        feet[:, 2] = np.minimum(self.floor + BUNDLE_RADIUS, points[:, 2] - BUNDLE_RADIUS)
-        return self.holds(points) | self.blocked(points, feet)
+        feet[:, 2] = np.minimum(self.floor_height + RAY_BUNDLE_RADIUS, points[:, 2] - RAY_BUNDLE_RADIUS)
+        return self.is_inside_body(points) | self.is_blocked(points, feet)
 
 
-def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
+def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
     """Number (n,) of triangles that rays meet before `length`, in double precision.
 
     Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28. Edges belong to the triangle; a ray in its
     plane does not meet it.
     """
     count = np.zeros(len(origins), dtype=np.int64)
-    step = max(1, CHUNK // max(len(triangles), 1))
+    step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
-        met = _is_hit(triangles, origins[rows, None], beam[rows, None], length[rows, None])
+        met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], length[rows, None])
         count[rows] = met.sum(axis=1)
     return count
 
 
-def _is_hit(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
+def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
     """Flags (...): a ray meets its triangle (..., 3, 3) before `length`."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
     cross = np.cross(beam, across)
-    determinant = _dot(cross, along)
+    determinant = _row_dot_products(cross, along)
     flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
     inverse = 1.0 / np.where(flat, 1.0, determinant)
     gap = origins - first
     turned = np.cross(gap, along)
-    u, v, way = _dot(gap, cross) * inverse, _dot(beam, turned) * inverse, _dot(turned, across) * inverse
+    u, v, way = (
+        _row_dot_products(gap, cross) * inverse,
+        _row_dot_products(beam, turned) * inverse,
+        _row_dot_products(turned, across) * inverse,
+    )
     inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
-    return np.asarray(~flat & inside & (way > END) & (way < length - END))
+    return np.asarray(~flat & inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
 
 
-def _normals(triangles: Floats) -> tuple[Floats, Floats]:
+def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
     """Unit normals (m, 3) of triangles, zero for a triangle without area, and areas (m,)."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(cross, axis=1)
@@ -224,118 +231,118 @@ def _normals(triangles: Floats) -> tuple[Floats, Floats]:
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
     """Point (m, 3) of each triangle that is nearest to a point (3,): its foot on the plane, or a point on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
-    along = np.clip(_dot(gap, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+    along = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + along[..., None] * edge
     best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
-    normal, area = _normals(triangles)
-    over = (_dot(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
-    under = point - _dot(gap[:, 0], normal)[:, None] * normal
+    normal, area = _normals_and_areas(triangles)
+    over = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
     return np.where(over[:, None], under, on_edge[np.arange(len(best)), best])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
-    """Horizontal projection (..., 2) of points (..., 3) along `UPWARDS`."""
-    return points[..., :2] - points[..., 2:] * UPWARDS[:2] / UPWARDS[2]
+    """Horizontal projection (..., 2) of points (..., 3) along `TEST_RAY_DIRECTION`."""
+    return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def _row_dot_products(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
-def transformed(triangles: Floats, position: Floats, yaw: float) -> Floats:
+def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
     """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
-    return triangles @ about_z(yaw).T + position
+    return triangles @ rotation_about_z(yaw).T + position
 
 
-def box(size: Floats) -> Floats:
+def box_triangles(size: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
     return UNIT_CUBE * size + [0.0, 0.0, 0.5 * size[2]]
 
 
-def cylinder(diameter: float, height: float) -> Floats:
+def cylinder_triangles(diameter: float, height: float) -> Floats:
     """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
     radius, turn = (
-        0.5 * diameter / np.cos(np.pi / CYLINDER_SIDES),
-        np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES + 1)[:-1],
+        0.5 * diameter / np.cos(np.pi / N_CYLINDER_SIDES),
+        np.linspace(0.0, 2.0 * np.pi, N_CYLINDER_SIDES + 1)[:-1],
     )
-    low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(CYLINDER_SIDES)])
+    low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(N_CYLINDER_SIDES)])
     up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
     then = np.roll(low, -1, axis=0)
     sides = [low, foot, then, low, then, low + up, low + up, then, then + up, low + up, then + up, foot + up]
     return np.stack(sides, axis=1).reshape(-1, 3, 3)
 
 
-def walls(size: Floats) -> Floats:
+def wall_triangles(size: Floats) -> Floats:
     """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
     body = (UNIT_CUBE + 0.5) * size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
-def joined_obstacles(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
+def join_obstacles(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
     """Obstacles of several sets of triangles; those of the last call again where they are the same.
 
     The rays of a large hall take 600 bytes a triangle, and memory that only the garbage collection frees.
     """
     triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
     key = blake2b(triangles.ravel().data).digest(), floor
-    latest = _LATEST.get(key)
+    latest = _LATEST_OBSTACLES.get(key)
     if latest is None:
         triangles.flags.writeable = False
         latest = Obstacles(triangles, floor)
-        _LATEST.clear()
-        _LATEST[key] = latest
+        _LATEST_OBSTACLES.clear()
+        _LATEST_OBSTACLES[key] = latest
     return latest
 
 
-_LATEST: dict[tuple[bytes, float], Obstacles] = {}
-"""Obstacles of the last call of `joined_obstacles`, by a digest of their triangles and the height of their floor."""
+_LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
+"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of their floor."""
 
 
-def nest_places(
-    body: Floats, reach: float, spacing: float, around: Obstacles | None = None, *, closed: bool = True
+def candidate_nest_places(
+    body: Floats, standoff: float, spacing: float, around: Obstacles | None = None, *, closed: bool = True
 ) -> Floats:
     """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
-    Their centres are `reach` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
+    Their centres are `standoff` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
     `around`. The outer side of a `closed` body is determined for any orientation of its triangles; that of an open
     surface is the side of the normals.
     """
     drawn, normal = _random_points(body, spacing)
     surface = Obstacles(body)
     if closed:
-        normal[surface.holds(drawn + reach * normal)] *= -1.0
-    places = drawn + reach * normal
+        normal[surface.is_inside_body(drawn + standoff * normal)] *= -1.0
+    places = drawn + standoff * normal
     good = normal[:, 2] > MIN_NORMAL_Z
-    good &= ~(closed & surface.holds(places))
+    good &= ~(closed & surface.is_inside_body(places))
     if around is not None:
-        good &= ~around.holds(places)
-    good[good] = _is_flat(surface, places[good], normal[good], reach)
-    return _thinned(places[good], spacing)
+        good &= ~around.is_inside_body(places)
+    good[good] = _is_flat(surface, places[good], normal[good], standoff)
+    return _thin_places(places[good], spacing)
 
 
 def _random_points(body: Floats, spacing: float) -> tuple[Floats, Floats]:
     """Random points, uniform over the area of triangles, and their normals, both (n, 3)."""
-    normal, area = _normals(body)
+    normal, area = _normals_and_areas(body)
     rng = stream(0, "nests")
-    count = int(np.clip(DRAWS_PER_PLACE * area.sum() / spacing**2, 200, MAX_DRAWN))
+    count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / spacing**2, 200, MAX_DRAWN_PLACES))
     face = rng.choice(len(body), size=count, p=area / area.sum())
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     a, b, c = np.moveaxis(body[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
-def _is_flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
+def _is_flat(surface: Obstacles, places: Floats, normal: Floats, standoff: float) -> Bools:
     """Flags (n,): the surface around the foot of a nest is flat enough for it."""
-    side, other = perpendicular(normal)
+    side, other = perpendicular_vectors(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
-        rim = places + FOOT_RADIUS * shift
-        good &= surface.blocked(rim, rim - (reach + MAX_UNEVENNESS) * normal)
-        good &= ~surface.blocked(rim, rim - (reach - MAX_UNEVENNESS) * normal)
+        rim = places + NEST_FOOT_RADIUS * shift
+        good &= surface.is_blocked(rim, rim - (standoff + MAX_NEST_UNEVENNESS) * normal)
+        good &= ~surface.is_blocked(rim, rim - (standoff - MAX_NEST_UNEVENNESS) * normal)
     return good
 
 
-def _thinned(places: Floats, spacing: float) -> Floats:
+def _thin_places(places: Floats, spacing: float) -> Floats:
     """Places thinned in their order, so that each is at least `spacing` [m] from all retained ones."""
     chosen: list[int] = []
     for i, place in enumerate(places):

@@ -9,10 +9,10 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.kinematics.chain import point_and_derivatives
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
-MIN_ROTATION = 1e-4
+MIN_AXIS_ROTATION = 1e-4
 """Smallest rotation [rad] of an axis that counts as a motion."""
 
 
@@ -24,35 +24,37 @@ class Sightings:
     """
 
     station: Ints
+    """Number of the station of each pointing, from 0, (n,)."""
     target: Ints
+    """Number of the target of each pointing, from 0, (n,)."""
     instrument: Ints
-    """Numbers of station, target and instrument of each pointing, from 0, each (n,); `station_names` and `target_names`
-    hold the names.
-    """
+    """Number of the instrument of each pointing, from 0, (n,)."""
     face: Ints
+    """Face (1 or 2) of each pointing, (n,)."""
     repeat: Ints
-    """Face (1 or 2) and number of the round of each pointing, each (n,)."""
+    """Number of the round of each pointing, (n,)."""
     time: Floats
     """Time of each pointing, (n,) [s]."""
-    position: Floats
+    station_positions: Floats
     """Origin of each instrument, (S, 3) [m]."""
-    rotation: Floats
+    station_rotations: Floats
     """Rotation of each instrument frame to the network frame, (S, 3, 3)."""
-    points: Floats
+    target_points: Floats
     """Coordinates of the targets, (T, 3) [m]."""
-    nest_normal: Floats
+    nest_normals: Floats
     """Unit normal of each nest's open face, NaN if unknown, (T, 3)."""
-    reaimed: Bools
+    is_reaimed: Bools
     """Flags (T,) of the targets whose reflector is turned towards the station before each pointing."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     """Additional columns of the recording by name, each (n,)."""
-    lift: Floats | None = None
-    """Offset (n, 3) [m] of the reflector from the target's mark, less the height of the instrument above `position`;
+    reflector_offsets: Floats | None = None
+    """Offset (n, 3) [m] of the reflector from the target's mark, less the height of the instrument above
+    `station_positions`;
     None: no offsets.
     """
-    encoder: Floats | None = None
+    encoder_readings: Floats | None = None
     """Raw readings (n, 3) that include the instrument's errors, if known: fine periodic errors depend on them. None:
     ideal readings are used.
     """
@@ -60,68 +62,70 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.station)
 
-    def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
+    def with_geometry(self, position: Floats, rotation: Floats, points: Floats) -> Self:
         """Copy of the sightings with other stations and targets."""
-        return replace(self, position=position, rotation=rotation, points=points, encoder=None)
+        return replace(
+            self, station_positions=position, station_rotations=rotation, target_points=points, encoder_readings=None
+        )
 
     @cached_property
-    def derived(self) -> dict[Hashable, Any]:
+    def derived_cache(self) -> dict[Hashable, Any]:
         """Cache of quantities of this geometry that several callers compute, by their keys."""
         return {}
 
     @cached_property
-    def station_ids(self) -> dict[str, list[int]]:
+    def station_indices(self) -> dict[str, list[int]]:
         """Indices of the stations with a name.
 
         Several if alternative positions of one station are evaluated together.
         """
-        return _places(self.station_names)
+        return _index_by_name(self.station_names)
 
     @cached_property
-    def target_ids(self) -> dict[str, list[int]]:
+    def target_indices(self) -> dict[str, list[int]]:
         """Indices of the targets with a name."""
-        return _places(self.target_names)
+        return _index_by_name(self.target_names)
 
     @cached_property
-    def arm(self) -> Floats:
+    def sight_vectors(self) -> Floats:
         """Vectors (n, 3) [m] from the instrument to the reflector, network frame."""
-        arm: Floats = self.points[self.target] - self.position[self.station]
-        return arm if self.lift is None else arm + self.lift
+        arm: Floats = self.target_points[self.target] - self.station_positions[self.station]
+        return arm if self.reflector_offsets is None else arm + self.reflector_offsets
 
     @cached_property
-    def local(self) -> Floats:
+    def local_points(self) -> Floats:
         """Coordinates (n, 3) [m] of the reflector in the instrument frame."""
-        return np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
+        return np.einsum("nji,nj->ni", self.station_rotations[self.station], self.sight_vectors)
 
     @cached_property
-    def polar(self) -> Floats:
+    def front_face_polar(self) -> Floats:
         """Ideal range, azimuth, elevation on the front face, (n, 3)."""
-        return to_polar(self.local)
+        return to_polar(self.local_points)
 
     @cached_property
-    def raw(self) -> Floats:
+    def raw_readings(self) -> Floats:
         """Ideal raw readings on the face that was used, (n, 3)."""
-        return to_face(self.polar, self.face)
+        return to_face(self.front_face_polar, self.face)
 
     @property
-    def read(self) -> Floats:
-        """Raw readings (n, 3) of the instrument, `encoder` where given, ideal ones otherwise."""
-        return self.raw if self.encoder is None else self.encoder
+    def instrument_readings(self) -> Floats:
+        """Raw readings (n, 3) of the instrument, `encoder_readings` where given, ideal ones otherwise."""
+        return self.raw_readings if self.encoder_readings is None else self.encoder_readings
 
     @property
     def range_(self) -> Floats:
         """Ideal range of each pointing, (n,) [m]."""
-        return self.polar[:, 0]
+        return self.front_face_polar[:, 0]
 
     @property
     def azimuth(self) -> Floats:
         """Ideal azimuth of each pointing on the front face, (n,) [rad]."""
-        return self.polar[:, 1]
+        return self.front_face_polar[:, 1]
 
     @property
     def elevation(self) -> Floats:
         """Ideal elevation of each pointing on the front face, (n,) [rad]."""
-        return self.polar[:, 2]
+        return self.front_face_polar[:, 2]
 
     @cached_property
     def face_sign(self) -> Floats:
@@ -129,19 +133,19 @@ class Sightings:
         return np.where(self.face == 2, -1.0, 1.0)
 
     @cached_property
-    def jacobian(self) -> Floats:
+    def local_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of the raw readings with respect to the coordinates in the instrument frame."""
-        return polar_jacobian(self.polar, self.face)
+        return polar_jacobian(self.front_face_polar, self.face)
 
     @cached_property
-    def by_target(self) -> Floats:
+    def target_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of the raw readings with respect to the target's network coordinates."""
-        return self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
+        return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
 
     @cached_property
-    def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
+    def beam_vectors(self) -> tuple[Floats, Floats, Floats]:
         """Unit vectors of the beam, to its left and upwards, each (n, 3), network frame."""
-        turn = self.rotation[self.station]
+        turn = self.station_rotations[self.station]
         beam, across, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
         return beam, across, up
 
@@ -152,9 +156,9 @@ class Sightings:
         A correction is added to a reading; for a fixed point the reading is therefore smaller by the correction, hence
         the minus sign.
         """
-        slots = {motion.slot for motion in MISALIGNMENT}
-        _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)
-        return {slot: -np.einsum("nij,nj->ni", self.jacobian, moved) for slot, moved in by_slot.items()}
+        slots = {motion.slot for motion in MISALIGNMENT_CHAIN}
+        _, by_slot = point_and_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
+        return {slot: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for slot, moved in by_slot.items()}
 
     @cached_property
     def station_time(self) -> Floats:
@@ -164,65 +168,69 @@ class Sightings:
         return self.time - first[self.station]
 
     @cached_property
-    def order(self) -> Ints:
+    def measurement_order(self) -> Ints:
         """Row indices (n,) in the order of measurement (by time, ties by row)."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
-    def by_set_up(self) -> Ints:
+    def order_by_setup(self) -> Ints:
         """Row indices (n,), station by station, each in the order of measurement."""
-        return self.order[np.argsort(self.station[self.order], kind="stable")]
+        return self.measurement_order[np.argsort(self.station[self.measurement_order], kind="stable")]
 
     @cached_property
-    def previous(self) -> Ints:
+    def previous_rows(self) -> Ints:
         """Row (n,) of the previous pointing of the same station, -1 for its first pointing."""
-        rows = self.by_set_up
+        rows = self.order_by_setup
         before = np.full(len(self), -1)
         same = np.diff(self.station[rows]) == 0
         before[rows[1:][same]] = rows[:-1][same]
         return before
 
-    def _summed(self, steps: Floats | Bools) -> Floats:
+    def _cumulative_sum(self, steps: Floats | Bools) -> Floats:
         """Cumulative sum (n,) of the steps (n,) of a set-up, excluding the step of its first pointing."""
-        rows = self.by_set_up
-        first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
+        rows = self.order_by_setup
+        first = np.maximum.accumulate(np.where(self.previous_rows[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(steps[rows], dtype=np.float64)
         sums_by_row = np.empty_like(sums)
         sums_by_row[rows] = sums - sums[first]
         return sums_by_row
 
     @cached_property
-    def move(self) -> Floats:
+    def reading_changes(self) -> Floats:
         """Change (n, 3) [m, rad] of the raw readings since the previous pointing of the same station; 0 for its first.
 
         The change of azimuth is the shorter of the two rotations.
         """
-        move: Floats = np.where(self.previous[:, None] >= 0, self.raw - self.raw[self.previous], 0.0)
-        move[:, 1] = wrap(move[:, 1])
+        move: Floats = np.where(
+            self.previous_rows[:, None] >= 0, self.raw_readings - self.raw_readings[self.previous_rows], 0.0
+        )
+        move[:, 1] = wrap_angle(move[:, 1])
         return move
 
     @cached_property
-    def wound(self) -> Floats:
+    def cumulative_head_rotation(self) -> Floats:
         """Cumulative rotation (n,) [rad] of the head since the set-up began, full turns counted."""
-        return self._summed(self.move[:, 1])
+        return self._cumulative_sum(self.reading_changes[:, 1])
 
     @cached_property
-    def approach(self) -> Floats:
+    def approach_signs(self) -> Floats:
         """Sign (n, 2) of the last motion of raw azimuth and elevation; 0 for the first pointing of a station.
 
         For an axis that does not move it is the sign of its last motion; the sequence restarts at every station.
         """
-        sign = np.where(np.abs(self.move[:, 1:]) < MIN_ROTATION, 0.0, np.sign(self.move[:, 1:]))
-        for row in self.order:
-            before = self.previous[row]
+        sign = np.where(
+            np.abs(self.reading_changes[:, 1:]) < MIN_AXIS_ROTATION, 0.0, np.sign(self.reading_changes[:, 1:])
+        )
+        for row in self.measurement_order:
+            before = self.previous_rows[row]
             if before >= 0:
                 sign[row] = np.where(sign[row] == 0.0, sign[before], sign[row])
         return sign
 
     @cached_property
-    def seating(self) -> Ints:
+    def seating_numbers(self) -> Ints:
         """Number (n,) of times that the reflector was moved to another nest since the set-up began."""
-        return self._summed(self.target != self.target[self.previous]).astype(np.int64)
+        return self._cumulative_sum(self.target != self.target[self.previous_rows]).astype(np.int64)
 
     @cached_property
     def quantities(self) -> dict[str, Floats]:
@@ -230,17 +238,17 @@ class Sightings:
 
         Unknown values, and values before the first pointing of a station, are zero.
         """
-        place = self.points[self.target]
-        came = self.previous >= 0
-        last = np.where(came[:, None], self.polar[self.previous], 0.0)
+        place = self.target_points[self.target]
+        came = self.previous_rows >= 0
+        last = np.where(came[:, None], self.front_face_polar[self.previous_rows], 0.0)
         quantities = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
-            "circle": wrap(self.raw[:, 1]),
-            "vertical-circle": wrap(self.raw[:, 2]),
+            "circle": wrap_angle(self.raw_readings[:, 1]),
+            "vertical-circle": wrap_angle(self.raw_readings[:, 2]),
             "distance": self.range_,
             "horizontal": self.range_ * np.cos(self.elevation),
-            "height": self.local[:, 2],
+            "height": self.local_points[:, 2],
             "x": place[:, 0],
             "y": place[:, 1],
             "z": place[:, 2],
@@ -249,50 +257,56 @@ class Sightings:
             "incidence": self.incidence,
             "nest-direction": self.incidence_direction,
             "face": self.face_sign,
-            "bearing": np.arctan2(self.unit_vectors[0][:, 1], self.unit_vectors[0][:, 0]),
-            "parity": 1.0 - 2.0 * (np.argsort(self.order) % 2),
-            "seating-parity": 1.0 - 2.0 * (self.seating % 2),
+            "bearing": np.arctan2(self.beam_vectors[0][:, 1], self.beam_vectors[0][:, 0]),
+            "parity": 1.0 - 2.0 * (np.argsort(self.measurement_order) % 2),
+            "seating-parity": 1.0 - 2.0 * (self.seating_numbers % 2),
             "repeat": self.repeat.astype(np.float64),
-            "approach-azimuth": self.approach[:, 0],
-            "approach-elevation": self.approach[:, 1],
-            "wound-azimuth": self.wound,
-            "count": self._summed(came),
-            "lapse": np.where(came, self.time - self.time[self.previous], 0.0),
+            "approach-azimuth": self.approach_signs[:, 0],
+            "approach-elevation": self.approach_signs[:, 1],
+            "wound-azimuth": self.cumulative_head_rotation,
+            "count": self._cumulative_sum(came),
+            "lapse": np.where(came, self.time - self.time[self.previous_rows], 0.0),
         }
-        changing = dict(zip(("distance", "azimuth", "elevation"), zip(last.T, self.move.T, strict=True), strict=True))
+        changing = dict(
+            zip(("distance", "azimuth", "elevation"), zip(last.T, self.reading_changes.T, strict=True), strict=True)
+        )
         for name, column in self.covariates.items():
             x = np.nan_to_num(column)
-            changing[name] = np.where(came, x[self.previous], x), np.where(came, x - x[self.previous], 0.0)
+            changing[name] = np.where(came, x[self.previous_rows], x), np.where(came, x - x[self.previous_rows], 0.0)
         for name, (before, move) in changing.items():
-            quantities |= {f"last-{name}": before, f"move-{name}": move, f"work-{name}": self._summed(np.abs(move))}
+            quantities |= {
+                f"last-{name}": before,
+                f"move-{name}": move,
+                f"work-{name}": self._cumulative_sum(np.abs(move)),
+            }
         return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | quantities).items()}
 
     @cached_property
-    def _nest(self) -> tuple[Floats, Floats]:
+    def _incidence_angles(self) -> tuple[Floats, Floats]:
         """Incidence angle, and direction of incidence in the plane of the open face, each (n,) [rad]."""
-        x, y, z = self.nest_normal.T
+        x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
         across_y = np.divide(x, level, out=np.zeros_like(x), where=~(level < 1e-6))
         side = across_x, across_y, 0.0 * z  # level, across the normal
         above = -z * across_y, z * across_x, x * across_y - y * across_x
         axes = np.stack([(x, y, z), side, above])[:, :, self.target]
-        along, aside, up = -np.einsum("ijn,nj->in", axes, self.arm)
-        length = np.sqrt(np.einsum("nj,nj->n", self.arm, self.arm))
+        along, aside, up = -np.einsum("ijn,nj->in", axes, self.sight_vectors)
+        length = np.sqrt(np.einsum("nj,nj->n", self.sight_vectors, self.sight_vectors))
         return np.arccos(np.clip(along / length, -1.0, 1.0)), np.arctan2(up, aside)
 
     @property
     def incidence(self) -> Floats:
         """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the nest is unknown."""
-        return self._nest[0]
+        return self._incidence_angles[0]
 
     @property
     def incidence_direction(self) -> Floats:
         """Azimuth (n,) [rad] of the station around the nest's normal, 0 along the horizontal of the open face."""
-        return self._nest[1]
+        return self._incidence_angles[1]
 
 
-def _places(names: Sequence[str]) -> dict[str, list[int]]:
+def _index_by_name(names: Sequence[str]) -> dict[str, list[int]]:
     places: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         places.setdefault(name, []).append(i)

@@ -17,11 +17,12 @@ from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
 from ltsim.scene.meshes import Obstacles
 
-DOWN = np.array([0.0, 0.0, -1.0])
-TOUCH = 1e-9
+DOWNWARD = np.array([0.0, 0.0, -1.0])
+"""Unit vector of the plumb line downwards."""
+ANGLE_TOLERANCE = 1e-9
 
 
-class Reason(IntEnum):
+class InvisibilityReason(IntEnum):
     """Reason why a station does not see a target; the first one that applies."""
 
     VISIBLE = 0
@@ -52,83 +53,90 @@ class SightLimits:
     """Limits of visibility of an instrument and its reflectors [rad, m]."""
 
     elevation_min: float = -55.0 * DEGREE
+    """Lowest elevation of the instrument [rad]."""
     elevation_max: float = 77.0 * DEGREE
     """Highest elevation of the instrument."""
     range_min: float = 0.5
+    """Shortest range [m]."""
     range_max: float = 20.0
-    acceptance: float = 30.0 * DEGREE
+    """Longest range [m]."""
+    max_incidence: float = 30.0 * DEGREE
     """Largest incidence angle on a reflector."""
-    opening: float | None = None
+    declared_cone_opening: float | None = None
     """Full angle of the shadow cone below the instrument; None: the one that follows from `elevation_min`."""
 
     @property
     def cone_opening(self) -> float:
-        """Full angle [rad] of the shadow cone in effect: `opening`, or the one that `elevation_min` implies."""
-        return cone_opening(self.elevation_min) if self.opening is None else self.opening
+        """Full angle [rad] of the shadow cone in effect: the declared one, or that of `elevation_min`."""
+        return (
+            shadow_cone_opening(self.elevation_min)
+            if self.declared_cone_opening is None
+            else self.declared_cone_opening
+        )
 
 
 @dataclass(frozen=True)
 class Visibility:
     """Visibility of each target from each station of a layout."""
 
-    reason: NDArray[np.int8]
-    """Values of `Reason` for each pair, (S, T); 0 for a visible pair."""
-    range_: Floats
+    reasons: NDArray[np.int8]
+    """Values of `InvisibilityReason` for each pair, (S, T); 0 for a visible pair."""
+    ranges: Floats
     """Distance of each pair, (S, T) [m]."""
-    elevation: Floats
+    elevations: Floats
     """Elevation of each target in the instrument frame, (S, T) [rad]."""
-    incidence: Floats
+    incidence_angles: Floats
     """Incidence angle on each reflector, (S, T) [rad]; 0 for a re-aimed reflector, NaN for an unknown nest."""
     limits: tuple[SightLimits, ...]
     """Limits of each station's instrument, S entries."""
 
     @property
-    def visible(self) -> Bools:
+    def is_visible(self) -> Bools:
         """Flags (S, T) of the pairs that see each other."""
-        return np.asarray(self.reason == Reason.VISIBLE)
+        return np.asarray(self.reasons == InvisibilityReason.VISIBLE)
 
-    def words(self) -> list[list[str]]:
+    def reason_texts(self) -> list[list[str]]:
         """Text of the reason for each pair, '' for a visible pair."""
-        return [[self._reason_text(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
+        return [[self._reason_text(s, t) for t in range(self.reasons.shape[1])] for s in range(self.reasons.shape[0])]
 
-    def kinds(self) -> list[list[str]]:
-        """Texts of the reasons, as `words`, but without the numbers of the pair."""
-        return [[REASON_TEXTS[code] for code in line] for line in self.reason.tolist()]
+    def reason_kinds(self) -> list[list[str]]:
+        """Texts of the reasons, as `reason_texts`, but without the numbers of the pair."""
+        return [[REASON_TEXTS[code] for code in line] for line in self.reasons.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
         """Text of the reason of a pair: its value, the limit, and the key that states the limit, if any."""
-        code, limits = self.reason[station, target], self.limits[station]
-        range_, elevation = self.range_[station, target], self.elevation[station, target] / DEGREE
+        code, limits = self.reasons[station, target], self.limits[station]
+        range_, elevation = self.ranges[station, target], self.elevations[station, target] / DEGREE
         key, number = {
-            Reason.RANGE: (
+            InvisibilityReason.RANGE: (
                 "range_min_mm" if range_ < limits.range_min else "range_max_mm",
                 f"{range_:.2f} m, expected {limits.range_min:g} to {limits.range_max:g} m",
             ),
-            Reason.BELOW: (
+            InvisibilityReason.BELOW: (
                 "elevation_min_deg",
                 f"{elevation:.1f} deg, the minimum is {limits.elevation_min / DEGREE:.4g} deg",
             ),
-            Reason.ABOVE: (
+            InvisibilityReason.ABOVE: (
                 "elevation_max_deg",
                 f"{elevation:.1f} deg, the maximum is {limits.elevation_max / DEGREE:.4g} deg",
             ),
         }.get(code, ("", ""))
         return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
 
-    def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
+    def invisible_pair_sentences(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
         """Sentences about the pairs that do not see each other, one per pair."""
         return [
             f"{stations[s]} does not see {targets[t]}: {self._reason_text(s, t)}"
-            for s, t in np.argwhere(~self.visible).tolist()
+            for s, t in np.argwhere(~self.is_visible).tolist()
         ]
 
 
-def cone_opening(elevation_min: float) -> float:
+def shadow_cone_opening(elevation_min: float) -> float:
     """Full angle [rad] of the shadow cone under an instrument by its lowest elevation [rad]: 70 deg for -55 deg."""
     return float(np.pi + 2.0 * elevation_min)
 
 
-def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
+def shadow_radii(position: Floats, height: float, opening: float) -> Floats:
     """Radius (S,) [m] of the shadow circles at `height` [m] under upright instruments at `position` (S, 3).
 
     The radius is zero for an instrument below `height`. The circles are centred under the positions.
@@ -137,7 +145,7 @@ def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
     return above * np.tan(0.5 * opening)
 
 
-def visibility(
+def compute_visibility(
     position: Floats,
     points: Floats,
     limits: SightLimits,
@@ -156,20 +164,20 @@ def visibility(
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
-    if np.any(range_ < TOUCH):
+    if np.any(range_ < ANGLE_TOLERANCE):
         raise ModelError("a target is at the origin of a station")
     beam = sight / range_[:, :, None]
-    down = np.broadcast_to(DOWN, position.shape) if rotation is None else rotation @ DOWN
+    down = np.broadcast_to(DOWNWARD, position.shape) if rotation is None else rotation @ DOWNWARD
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
-    incidence = _incidence(beam, nest_normal, reaimed)
+    incidence = _incidence_on_reflectors(beam, nest_normal, reaimed)
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.cone_opening - 0.5 * np.pi
     checks = (
-        (Reason.ACCEPTANCE, incidence > limits.acceptance + TOUCH),
-        (Reason.SHADOW, elevation < shadow - TOUCH),
-        (Reason.ABOVE, elevation > limits.elevation_max + TOUCH),
-        (Reason.BELOW, elevation < limits.elevation_min - TOUCH),
-        (Reason.RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
+        (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + ANGLE_TOLERANCE),
+        (InvisibilityReason.SHADOW, elevation < shadow - ANGLE_TOLERANCE),
+        (InvisibilityReason.ABOVE, elevation > limits.elevation_max + ANGLE_TOLERANCE),
+        (InvisibilityReason.BELOW, elevation < limits.elevation_min - ANGLE_TOLERANCE),
+        (InvisibilityReason.RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
     )
     for code, holds in checks:
         reason[holds] = code
@@ -178,18 +186,18 @@ def visibility(
     return Visibility(reason, range_, elevation, incidence, (limits,) * len(position))
 
 
-def joined_tables(tables: Sequence[Visibility], order: Ints) -> Visibility:
+def join_visibility_tables(tables: Sequence[Visibility], order: Ints) -> Visibility:
     """Joint table of several groups of stations.
 
     `order` gives for each station its row in the joined groups.
     """
-    columns = [(t.reason, t.range_, t.elevation, t.incidence) for t in tables]
+    columns = [(t.reasons, t.ranges, t.elevations, t.incidence_angles) for t in tables]
     reason, range_, elevation, incidence = (np.concatenate(column)[order] for column in zip(*columns, strict=True))
     limits = [limits for table in tables for limits in table.limits]
     return Visibility(reason, range_, elevation, incidence, tuple(limits[s] for s in order.tolist()))
 
 
-def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
+def _incidence_on_reflectors(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
     """Incidence angle (S, T) [rad] between the beam towards the station and the normal of the open face."""
     if nest_normal is None or reaimed is None:
         return np.zeros(beam.shape[:2])
@@ -200,14 +208,14 @@ def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) 
 
 def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
     """Marking of the pairs that an obstacle hides; rays are cast only for pairs that no other reason excludes."""
-    inside = obstacles.encloses(position)
-    pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
-    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
-    reason[hidden[:, 0], hidden[:, 1]] = Reason.OBSTACLE
-    reason[inside] = Reason.STATION_INSIDE
+    inside = obstacles.is_enclosed(position)
+    pairs = np.argwhere((reason == InvisibilityReason.VISIBLE) & ~inside[:, None])
+    hidden = pairs[obstacles.is_blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
+    reason[hidden[:, 0], hidden[:, 1]] = InvisibilityReason.OBSTACLE
+    reason[inside] = InvisibilityReason.STATION_INSIDE
 
 
-def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
+def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Directions (T, 3) in which fixed reflectors serve all stations, and half-angles (T,) [rad] around them.
 
     The direction is the axis of the narrowest cone around the stations; a target can serve all of them when the
@@ -215,13 +223,13 @@ def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
     """
     back = position - points[:, None, :]
     back /= np.linalg.norm(back, axis=2, keepdims=True)
-    centre = narrowest_cone(back)
+    centre = narrowest_cone_axes(back)
     cosine = np.clip(np.einsum("tsk,tk->ts", back, centre), -1.0, 1.0)
     half_angle: Floats = np.arccos(cosine.min(axis=1))
     return centre, half_angle
 
 
-def narrowest_cone(directions: Floats, steps: int = 1000) -> Floats:
+def narrowest_cone_axes(directions: Floats, steps: int = 1000) -> Floats:
     """Axes (..., 3) of the narrowest cones around unit vectors (..., S, 3) of a half space.
 
     It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges

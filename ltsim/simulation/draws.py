@@ -15,14 +15,14 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import trials_normal
+from ltsim.core.randomness import standard_normal_trials
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.physics import reflector_error
+from ltsim.simulation.physics import reflector_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_STEP = 1e-4 * MILLIMETRE
@@ -34,16 +34,17 @@ class EffectDistribution:
     """Effect whose parameters are drawn from N(mean, sigma^2), folded for a parameter that is never negative."""
 
     effect: Effect
-    mean: Floats
-    sigma: Floats
-    """Mean and standard deviation of each parameter, (q,) [SI]; sigma is 0 for a declared value."""
-    number: int = 1
+    mean_values: Floats
+    """Mean of each parameter, (q,) [SI]."""
+    value_sigmas: Floats
+    """Standard deviation of each parameter, (q,) [SI]; 0 for a declared value."""
+    index_at_place: int = 1
     """Index among identical effects at the same place, from 1."""
 
     @property
     def is_nonnegative(self) -> Bools:
         """Flags (q,) of the parameters that are never negative, such as added variances."""
-        kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
+        kinds = [p.is_positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
@@ -56,152 +57,167 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
         given = {} if entry is None else entry.values
-        mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])
+        mean = np.array([given.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
         if entry is None:
-            mean = reflector_error(scenario)
+            mean = reflector_error_parameters(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
-        counts[effect.name, effect.place] += 1
-        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place]))
+        counts[effect.name, effect.place_text] += 1
+        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place_text]))
     return tuple(laws)
 
 
 @dataclass(frozen=True)
-class NormalSource:
+class StandardNormalSource:
     """Source of standard normal numbers (size, B) for trials (B,) of a seed, by stream key."""
 
     seed: int
     trials: Ints
 
-    def __call__(self, size: int, *what: str | int) -> Floats:
+    def __call__(self, size: int, *stream_key: str | int) -> Floats:
         """Standard normal numbers (size, B) of a stream key."""
-        return trials_normal(self.seed, self.trials, size, *what)
+        return standard_normal_trials(self.seed, self.trials, size, *stream_key)
 
-    def per_trial(self) -> list[NormalSource]:
+    def single_trial_sources(self) -> list[StandardNormalSource]:
         """Sources of the single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
-class _SingleTrialSource(NormalSource):
+class _SingleTrialSource(StandardNormalSource):
     """Source of standard normal numbers of one trial in a batch."""
 
-    together: Callable[..., Floats] = trials_normal
-    place: int = 0
+    batch_source: Callable[..., Floats] = standard_normal_trials
+    trial_index: int = 0
 
-    def __call__(self, size: int, *what: str | int) -> Floats:
-        return self.together(size, *what)[:, self.place : self.place + 1]
+    def __call__(self, size: int, *stream_key: str | int) -> Floats:
+        return self.batch_source(size, *stream_key)[:, self.trial_index : self.trial_index + 1]
 
 
 @dataclass(frozen=True)
-class Draw:
+class TrialDraw:
     """Random values of B trials; the last index of each array is the trial."""
 
     trials: Ints
     """Numbers of the trials, (B,)."""
-    values: Floats
+    instrument_values: Floats
     """True instrument parameters, (I, p, B) [SI]."""
-    amounts: tuple[Floats, ...]
+    effect_values: tuple[Floats, ...]
     """True parameters of each effect, (q, B) [SI]."""
-    noise: Floats
+    reading_errors: Floats
     """Errors of the readings, (n, 3, B) [m, rad, rad]."""
-    certified: Floats
+    certified_lengths: Floats
     """Reference lengths on their certificates, at the temperature of calibration, (g, B) [m]."""
 
 
 @dataclass(frozen=True)
-class TrialDraws:
+class TrialDistributions:
     """Distributions of all random values of a trial on a given geometry."""
 
     sightings: Sightings
     construction: Construction
     instruments: tuple[str, ...]
     """Names of the trackers; '' for one without a name."""
-    mean: Floats
-    sigma: Floats
+    instrument_means: Floats
+    """Means of the instrument errors, (I, p) [SI]."""
+    instrument_sigmas: Floats
     """Standard deviations of the instrument errors, which are N(mean, sigma^2), (I, p) [SI]."""
-    noise: Floats
+    noise_sigmas: Floats
     """Standard deviations of the readings without noise effects, (n, 3) [m, rad, rad]."""
-    lengths: ReferenceLengths
+    reference_lengths: ReferenceLengths
     """True reference lengths, with the sigmas of their certificates."""
-    names: tuple[str, ...]
+    length_end_names: tuple[str, ...]
     """Names of the targets at the ends of the reference lengths."""
     effects: tuple[EffectDistribution, ...] = ()
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
-    def draw(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> Draw:
-        """Random values of trials; `values` (I, p, B) [SI] replaces the instrument errors if given.
+    def draw(
+        self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
+    ) -> TrialDraw:
+        """Random values of trials; `instrument_values` (I, p, B) [SI] replaces the instrument errors if given.
 
         `stream_key` distinguishes the noise of the same trials at another place.
 
         Raises SetupError when an effect leaves a variance below zero.
         """
-        amounts = tuple(self._amounts(law, numbers) for law in self.effects)
+        amounts = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)
-        sigma, count = self.noise_sigma(amounts), len(self.sightings)
-        white = np.empty((count, len(OBSERVABLES), len(numbers.trials)))
+        sigma, count = self.noise_sigmas_with_effects(amounts), len(self.sightings)
+        white = np.empty((count, len(OBSERVABLES), len(normal_source.trials)))
         for column, name in enumerate(OBSERVABLES):
-            np.multiply(sigma[:, column], numbers(count, *noise_key, name), out=white[:, column])
-        errors = self._values(numbers) if values is None else values
-        return Draw(numbers.trials, errors, amounts, white, self._certified(amounts, numbers))
+            np.multiply(sigma[:, column], normal_source(count, *noise_key, name), out=white[:, column])
+        errors = self._draw_instrument_values(normal_source) if instrument_values is None else instrument_values
+        return TrialDraw(
+            normal_source.trials, errors, amounts, white, self._draw_certified_lengths(amounts, normal_source)
+        )
 
-    def _values(self, numbers: NormalSource) -> Floats:
-        values = np.repeat(self.mean[:, :, None], len(numbers.trials), axis=2)
+    def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
+        values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trials), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
-            for k in np.flatnonzero(self.sigma[i]):
-                values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.names[k])[0]
+            for k in np.flatnonzero(self.instrument_sigmas[i]):
+                values[i, k] += (
+                    self.instrument_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
+                )
         return values
 
-    def _amounts(self, law: EffectDistribution, numbers: NormalSource) -> Floats:
-        amounts = np.repeat(law.mean[:, None], len(numbers.trials), axis=1)
-        for k in np.flatnonzero(law.sigma):
-            key = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
-            drawn = numbers(1, "effect", *key)[0]
-            amounts[k] += law.sigma[k] * (np.abs(drawn) if law.is_nonnegative[k] else drawn)
+    def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
+        amounts = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
+        for k in np.flatnonzero(distribution.value_sigmas):
+            key = (
+                distribution.effect.name,
+                distribution.effect.place_text,
+                distribution.index_at_place,
+                distribution.effect.parameters[k].name,
+            )
+            drawn = normal_source(1, "effect", *key)[0]
+            amounts[k] += distribution.value_sigmas[k] * (np.abs(drawn) if distribution.is_nonnegative[k] else drawn)
         return amounts
 
-    def noise_sigma(self, amounts: tuple[Floats, ...]) -> Floats:
+    def noise_sigmas_with_effects(self, effect_values: tuple[Floats, ...]) -> Floats:
         """True standard deviation of the noise, (n, 3, 1), or (n, 3, B) if noise effects differ by trial."""
         on_noise = [
             (law.effect, amount)
-            for law, amount in zip(self.effects, amounts, strict=True)
+            for law, amount in zip(self.effects, effect_values, strict=True)
             if isinstance(law.effect, NoiseEffect)
         ]
         constant = all(np.all(amount == amount[:, :1]) for _, amount in on_noise)
         trials = range(1 if constant else on_noise[0][1].shape[1])
-        return np.stack([self._with_effects([(e, amount[:, k]) for e, amount in on_noise]) for k in trials], axis=2)
+        return np.stack([self._effects_by_kind([(e, amount[:, k]) for e, amount in on_noise]) for k in trials], axis=2)
 
-    def _with_effects(self, on_noise: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
-        sigma = self.noise
-        for effect, amount in on_noise:
+    def _effects_by_kind(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
+        sigma = self.noise_sigmas
+        for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
                 raise SetupError(f"effects: {effect.name} makes a variance of the noise negative; give larger values")
             sigma = np.sqrt(variance)
         return sigma
 
-    def _certified(self, amounts: tuple[Floats, ...], numbers: NormalSource) -> Floats:
+    def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
         """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
-        lengths = self.lengths
-        growth = np.repeat(lengths.factor[:, None], len(numbers.trials), axis=1)
-        for name, change in lengths.shared.items():
-            growth += (change / (lengths.length / lengths.factor))[:, None] * numbers(1, name)
-        length = lengths.length[:, None] + self.length_change(amounts)
+        lengths = self.reference_lengths
+        growth = np.repeat(lengths.growth_factors[:, None], len(normal_source.trials), axis=1)
+        for name, change in lengths.shared_error_changes.items():
+            growth += (change / (lengths.lengths / lengths.growth_factors))[:, None] * normal_source(1, name)
+        length = lengths.lengths[:, None] + self.length_change(effect_values)
         draws = [
-            numbers(1, "cmm", self.names[a], self.names[b]) for a, b in zip(lengths.first, lengths.second, strict=True)
+            normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
+            for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
         white = np.reshape(draws, growth.shape)
-        error = self.certificate_factor * lengths.certificate[:, None] * white
+        error = self.certificate_factor * lengths.certificate_sigmas[:, None] * white
         return CERTIFICATE_STEP * np.round((length / growth + error) / CERTIFICATE_STEP)
 
-    def length_change(self, amounts: tuple[Floats, ...]) -> Floats:
+    def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
-        lengths, total = self.lengths, np.zeros((len(self.lengths.length), 1))
-        for law, amount in zip(self.effects, amounts, strict=True):
-            design = law.effect.gauge_design(lengths.first, lengths.second, self.sightings.points)
+        lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.lengths), 1))
+        for law, amount in zip(self.effects, effect_values, strict=True):
+            design = law.effect.gauge_design(
+                lengths.first_targets, lengths.second_targets, self.sightings.target_points
+            )
             if np.any(design):
                 total = total + design @ amount
         return total

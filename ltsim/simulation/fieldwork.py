@@ -11,76 +11,81 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction
-from ltsim.recordings.reflectors import excess_of
+from ltsim.recordings.reflectors import excess_radii_of_names
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
-from ltsim.simulation.physics import construction_of, effects_of
+from ltsim.simulation.physics import make_scenario_construction, scenario_effects
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.workshop import Layout, planned, visibility_of
+from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
 MAX_LISTED_PAIRS = 20
 """Largest number of hidden pairs that are listed one by one."""
-LEVEL_GAP = 0.5
+MIN_LEVEL_SEPARATION = 0.5
 """Smallest height difference [m] between two levels."""
 
 
 @dataclass(frozen=True)
-class Fieldwork:
-    """Scenario with its true geometry, on which `simulator.measure` draws errors and noise."""
+class MeasurementGeometry:
+    """Scenario with its true geometry and the order of its pointings.
+
+    `simulator.measure` draws errors and noise on it.
+    """
 
     scenario: Scenario
-    layout: Layout
+    layout: WorkshopLayout
     """True poses and points of all targets, including hidden ones."""
     sightings: Sightings
     """Pointings to the visible targets at the true geometry; covariates are the air readings."""
     effects: tuple[Effect, ...]
-    notes: tuple[str, ...]
+    hidden_pair_notes: tuple[str, ...]
     """Pairs of station and target without a line of sight, each with its reason; for many pairs, counts by reason."""
 
     @cached_property
     def construction(self) -> Construction:
         """Construction of the scenario's instruments."""
-        return construction_of(self.scenario)
+        return make_scenario_construction(self.scenario)
 
 
-def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
-    """True geometry of a scenario with its visible pointings in the order of measurement; `plan` as in `placed`.
+def make_geometry(
+    scenario: Scenario, seed: int, *key: str | int, plan: WorkshopLayout | None = None
+) -> MeasurementGeometry:
+    """True geometry of a scenario with its visible pointings in the order of measurement; `plan` as in `place_layout`.
 
     Raises SetupError if a station sees no target, an obstacle's file is damaged, an effect does not exist, or an SMR of
     another radius is in a nest without a normal.
     """
-    layout = placed(scenario, seed, *key, plan=plan)
-    table = visibility_of(scenario, layout)
-    for s, name in enumerate(layout.stations):
-        if not table.visible[s].any():
-            reason = table.words()[s][0]
-            raise SetupError(f"stations.{name}: sees no reflector ({layout.targets[0]} is {reason}); move it")
-    sightings = _sightings(scenario, layout, table.visible, seed, *key)
-    sightings = replace(sightings, lift=true_lift(scenario, sightings, seed, *key))
-    return Fieldwork(
+    layout = place_layout(scenario, seed, *key, plan=plan)
+    table = make_visibility(scenario, layout)
+    for s, name in enumerate(layout.station_names):
+        if not table.is_visible[s].any():
+            reason = table.reason_texts()[s][0]
+            raise SetupError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
+    sightings = _sightings(scenario, layout, table.is_visible, seed, *key)
+    sightings = replace(sightings, reflector_offsets=true_smr_offsets(scenario, sightings, seed, *key))
+    return MeasurementGeometry(
         scenario=scenario,
         layout=layout,
         sightings=sightings,
-        effects=effects_of(scenario),
-        notes=_notes(layout, table),
+        effects=scenario_effects(scenario),
+        hidden_pair_notes=_hidden_pair_notes(layout, table),
     )
 
 
-def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Layout:
+def place_layout(scenario: Scenario, seed: int, *key: str | int, plan: WorkshopLayout | None = None) -> WorkshopLayout:
     """True layout: the plan with the scatter of `placing`; the gauge moves as one rigid body.
 
     `plan` is the result of `planned` for the scenario, to avoid computing it again.
     """
-    plan, placing = plan or planned(scenario), scenario.placing
-    position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
+    plan, placing = plan or planned_layout(scenario), scenario.placing
+    position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
     draws = np.array([stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations])
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
     leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
-    yaws = np.array([about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
+    yaws = np.array([rotation_about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
     rotation = leans @ yaws @ rotation
     moves = [stream(seed, *key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
@@ -91,30 +96,30 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
         turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
         centre = points[body].mean(axis=0)
         points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
-    return replace(plan, position=position, rotation=rotation, points=points)
+    return replace(plan, station_positions=position, station_rotations=rotation, target_points=points)
 
 
-def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
-    lost = table.lost(layout.stations, layout.targets)
+def _hidden_pair_notes(layout: WorkshopLayout, table: Visibility) -> tuple[str, ...]:
+    lost = table.invisible_pair_sentences(layout.station_names, layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
-    reasons = Counter(reason for line in table.kinds() for reason in line if reason)
+    reasons = Counter(reason for line in table.reason_kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.visible.size} pairs of station and target have no line of sight: {counts}",)
+    return (f"{len(lost)} of {table.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
-def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
+def _sightings(scenario: Scenario, layout: WorkshopLayout, visible: Bools, seed: int, *key: str | int) -> Sightings:
     """Pointings in the order of measurement, without targets that no station sees."""
     pointed = np.flatnonzero(visible.any(axis=0))
-    renumbered = np.full(len(layout.targets), -1)
+    renumbered = np.full(len(layout.target_names), -1)
     renumbered[pointed] = np.arange(len(pointed))
-    visits = [_visit(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.stations))]
+    visits = [_setup_pointings(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.station_names))]
     station = np.repeat(np.arange(len(visits)), [len(visit) for visit in visits])
     target, face, repeat = np.concatenate(visits).T
     work = scenario.work
     spent = [np.append(np.full(len(v), work.seconds_per_pointing), 60.0 * work.minutes_per_move) for v in visits]
     time = np.concatenate([[0.0], np.cumsum(np.concatenate(spent))])[np.arange(len(station)) + station]
-    index = {name: i for i, name in enumerate(scenario.trackers)}
+    index = {name: i for i, name in enumerate(scenario.trackers_in_use)}
     of_station = np.array([index[s.instrument or ""] for s in scenario.stations.values()], dtype=np.int64)
     return Sightings(
         station=station,
@@ -123,23 +128,25 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
         face=face,
         repeat=repeat,
         time=time,
-        position=layout.position,
-        rotation=layout.rotation,
-        points=layout.points[pointed],
-        nest_normal=layout.nest_normal[pointed],
-        reaimed=layout.reaimed[pointed],
-        station_names=layout.stations,
-        target_names=tuple(layout.targets[k] for k in pointed),
-        covariates=_air(scenario, time),
+        station_positions=layout.station_positions,
+        station_rotations=layout.station_rotations,
+        target_points=layout.target_points[pointed],
+        nest_normals=layout.nest_normals[pointed],
+        is_reaimed=layout.is_reaimed[pointed],
+        station_names=layout.station_names,
+        target_names=tuple(layout.target_names[k] for k in pointed),
+        covariates=_air_sensor_readings(scenario, time),
     )
 
 
-def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int) -> Ints:
+def _setup_pointings(
+    scenario: Scenario, layout: WorkshopLayout, station: int, visible: Bools, seed: int, *key: str | int
+) -> Ints:
     """Target, face and repeat of each pointing of one station's visit, (k, 3), in the order of measurement."""
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
-        order = _order(scenario, layout, station, repeat, seed, *key)
+        order = _target_order(scenario, layout, station, repeat, seed, *key)
         order = order[visible[order]]
         if work.face_order == "per-target":
             pair = np.repeat(order, len(faces)), np.tile(faces, len(order))
@@ -149,28 +156,30 @@ def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, see
     return np.concatenate(pointings)
 
 
-def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> Ints:
-    count = len(layout.targets)
+def _target_order(
+    scenario: Scenario, layout: WorkshopLayout, station: int, repeat: int, seed: int, *key: str | int
+) -> Ints:
+    count = len(layout.target_names)
     if scenario.work.order == "as-listed":
         return np.arange(count)
     if scenario.work.order == "level-by-level":
-        azimuth = to_polar(layout.points - layout.position[station])[:, 1]
-        levels = _levels(layout.points[:, 2])
+        azimuth = to_polar(layout.target_points - layout.station_positions[station])[:, 1]
+        levels = _height_levels(layout.target_points[:, 2])
         return np.lexsort((azimuth, levels))
-    draw = stream(seed, *key, "order", layout.stations[station], repeat)
+    draw = stream(seed, *key, "order", layout.station_names[station], repeat)
     return draw.permutation(count)
 
 
-def _levels(heights: Floats) -> Floats:
+def _height_levels(heights: Floats) -> Floats:
     """Number (T,) of the height level of each target, the highest level first."""
     down = np.argsort(-heights, kind="stable")
-    steps = np.concatenate([[0.0], -np.diff(heights[down]) > LEVEL_GAP])
+    steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))
     levels[down] = np.cumsum(steps)
     return levels
 
 
-def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
+def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
     """Readings of the instrument's air sensors by covariate, rounded to 0.1 of their units."""
     room = scenario.workshop
     temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
@@ -181,7 +190,7 @@ def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
     }
 
 
-def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
+def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
     """Name of the SMR of each pointing, from its station, its target or the default; '' for none."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
@@ -189,7 +198,7 @@ def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
     return tuple(stations[s] or targets[t] or scenario.smr.reflector or "" for s, t in places)
 
 
-def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
+def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
     """Offset (n, 3) [m] of each SMR's centre from its target; None in a scenario with one SMR.
 
     Raises SetupError for an SMR without a table, for one of another radius in a nest without a normal, and for a
@@ -198,19 +207,19 @@ def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | i
     reflectors = scenario.reflectors
     if not reflectors:
         return None
-    names = smrs_of(scenario, sightings)
+    names = smr_names_of_pointings(scenario, sightings)
     if "" in names:
         target = sightings.target_names[sightings.target[names.index("")]]
         raise SetupError(
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
             "[smr] names one of them"
         )
-    aimed = np.isfinite(sightings.nest_normal[:, 0])
+    aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
     bare = [name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal]
     with as_setup_error():
-        lengths = excess_of(names, targets, bare, reflectors, scenario.reference_radius_mm)
+        lengths = excess_radii_of_names(names, targets, bare, reflectors, scenario.reference_radius_mm)
     for name in dict.fromkeys(names):
         error = (reflectors[name].sigma_radius_mm or 0.0) * stream(seed, *key, "reflector", name).standard_normal()
         lengths[np.array(names) == name] += error * MILLIMETRE
-    return lengths[:, None] * np.nan_to_num(sightings.nest_normal)[sightings.target]
+    return lengths[:, None] * np.nan_to_num(sightings.nest_normals)[sightings.target]

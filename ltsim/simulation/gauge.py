@@ -11,10 +11,10 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.geometry.expansion import Expansion
+from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.simulation.sections import Cmm, ScenarioGauge
 
-TABLE_2 = MappingProxyType(
+PAPER_TABLE_2_LENGTHS = MappingProxyType(
     {
         "columns": (357.6066, 388.0144, 454.4203, 590.1060, 386.7815, 355.9437),
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
@@ -23,53 +23,55 @@ TABLE_2 = MappingProxyType(
 """Six lengths [mm] of 25-26, 25-27, 25-28, 26-27, 26-28, 27-28 in the paper's Table 2, under both readings of the
 table.
 """
-REALISED = 1e-7
+MAX_RELATIVE_LENGTH_ERROR = 1e-7
+"""Relative difference up to which points realise the given lengths."""
 
 
 @dataclass(frozen=True)
 class GaugeFrame:
     """Gauge frame at its calibration temperature."""
 
-    names: tuple[str, ...]
+    target_names: tuple[str, ...]
     """Names of its k targets."""
     points: Floats
     """Coordinates (k, 3) [m] in the axes of the frame, origin at its centre."""
-    first: Ints
-    second: Ints
-    """Indices of the targets at both ends of each reference length, (g,)."""
+    first_targets: Ints
+    """Index of the target at the first end of each reference length, (g,)."""
+    second_targets: Ints
+    """Index of the target at the second end of each reference length, (g,)."""
 
     @property
-    def length(self) -> Floats:
+    def lengths(self) -> Floats:
         """True lengths, (g,) [m]."""
-        return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
+        return np.linalg.norm(self.points[self.first_targets] - self.points[self.second_targets], axis=1)
 
 
-def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
+def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     """Gauge frame with the lengths of a gauge.
 
     Raises SetupError if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))
-    lengths = np.array(_lengths(gauge, pairs)) * MILLIMETRE
+    lengths = np.array(_declared_lengths(gauge, pairs)) * MILLIMETRE
     first, second = np.array(pairs, dtype=np.int64).T
-    frame = GaugeFrame(names, embedded_points(len(names), first, second, lengths), first, second)
-    worst = int(np.argmax(np.abs(frame.length - lengths)))
-    if abs(frame.length[worst] - lengths[worst]) > REALISED:
+    frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
+    worst = int(np.argmax(np.abs(frame.lengths - lengths)))
+    if abs(frame.lengths[worst] - lengths[worst]) > MAX_RELATIVE_LENGTH_ERROR:
         a, b = names[first[worst]], names[second[worst]]
-        has, wanted = frame.length[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
+        has, wanted = frame.lengths[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
         message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
-def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
+def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
             raise SetupError(f"gauge.targets: has {len(names)} reflectors, but {message}")
-        return list(TABLE_2[gauge.reading])
+        return list(PAPER_TABLE_2_LENGTHS[gauge.reading])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
@@ -83,48 +85,48 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
 
 
-def embedded_points(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
+def points_from_distances(n_points: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
     """Points (count, 3) [m] about their centre whose distances are, or are nearest to, the given ones.
 
     Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly
     centred squared distances. The axes follow the extents, longest first; signs are fixed by the first point.
     """
-    squared = np.zeros((count, count))
+    squared = np.zeros((n_points, n_points))
     squared[first, second] = squared[second, first] = lengths**2
-    centring = np.eye(count) - 1.0 / count
+    centring = np.eye(n_points) - 1.0 / n_points
     value, vector = np.linalg.eigh(-0.5 * centring @ squared @ centring)
     largest = np.argsort(value)[::-1][:3]
-    points = np.zeros((count, 3))
+    points = np.zeros((n_points, 3))
     points[:, : len(largest)] = vector[:, largest] * np.sqrt(np.maximum(value[largest], 0.0))
     points *= np.where(points[0] < 0, -1.0, 1.0)
     return points
 
 
-def expansion(gauge: ScenarioGauge, workshop_c: float) -> float:
+def expansion_factor(gauge: ScenarioGauge, workshop_c: float) -> float:
     """Growth factor of all lengths from calibration to workshop."""
     measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
-    return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
+    return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
 
 
-def orientation(gauge: ScenarioGauge) -> Floats:
+def gauge_rotation(gauge: ScenarioGauge) -> Floats:
     """Rotation (3, 3) from the axes of the frame to the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
-def in_workshop(gauge: ScenarioGauge, frame: GaugeFrame, workshop_c: float) -> Floats:
+def gauge_points_in_workshop(gauge: ScenarioGauge, frame: GaugeFrame, workshop_c: float) -> Floats:
     """Points (k, 3) [m] of the frame at its position in the workshop and at the workshop's temperature."""
-    points: Floats = expansion(gauge, workshop_c) * frame.points @ orientation(gauge).T
+    points: Floats = expansion_factor(gauge, workshop_c) * frame.points @ gauge_rotation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
-def length_sigma(cmm: Cmm, length: Floats) -> Floats:
+def length_sigmas(cmm: Cmm, length: Floats) -> Floats:
     """Standard deviation (g,) [m] of lengths (g,) [m]: largest permitted error of the machine over `coverage`."""
     largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
     return largest * MICROMETRE / cmm.coverage
 
 
-def nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:
+def measure_nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:
     """Coordinates (T, 3) [m] of points (T, 3), with the errors of the measuring machine.
 
     Its largest permitted error A + L / K is divided into a random part A of each length, half of its variance at either

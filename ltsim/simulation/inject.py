@@ -11,21 +11,25 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import UNCHECKED
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Columns, Result, Table, numbers
+from ltsim.core.results import ColumnValues, Result, Table, numbers
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.geometry.polar import wrap
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.effects.verbs import shape_of
-from ltsim.physics.model.measurement import State
+from ltsim.geometry.polar import wrap_angle
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.verbs import display_constants
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certificates
 
-FORMAT = "ltsim-injection/1"
-CLOSE, ROUNDS = 1e-4, 60
+INJECTION_FORMAT = "ltsim-injection/1"
+"""Format and version of a truth file of injections."""
+NONCENTRALITY_TOLERANCE = 1e-4
+"""Relative difference to the requested noncentrality at which the scaling ends."""
+MAX_SCALING_STEPS = 60
+"""Largest number of steps in the scaling to a noncentrality."""
 MAX_CHANGE_SIGMAS = 30.0
 """Largest change of a reading in standard deviations, divided by the square root of the fraction of the effect that
 remains after adjustment.
@@ -33,47 +37,50 @@ remains after adjustment.
 
 
 @dataclass(frozen=True, repr=False)
-class Injected(Result):
+class InjectedEffect(Result):
     """Effect with the values (q,) [SI] of its parameters, as injected into a recording."""
 
-    cause: Tunable
-    words: str
+    effect: CandidateEffect
+    request_text: str
     """Text of the user's request for the effect."""
-    values: Floats
+    parameter_values: Floats
     noncentrality: float
     """Noncentrality of the effect after adjustment; for noise the expected decrease of minus twice
     the log likelihood.
     """
-    largest: dict[str, float]
+    largest_changes: dict[str, float]
     """Largest change of a distance [um], azimuth and elevation [urad]; for noise the largest standard deviation."""
 
     def _lines(self) -> list[str]:
-        sizes = ", ".join(f"{p.name} {value / p.factor:.4g} {p.unit}".rstrip() for p, value in self._parameters())
-        place = f" at {self.cause.place}" if self.cause.place else ""
-        return [f"Injected: {self.words}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
+        sizes = ", ".join(
+            f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
+        )
+        place = f" at {self.effect.place_text}" if self.effect.place_text else ""
+        return [f"Injected: {self.request_text}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
 
-    def _parameters(self) -> list[tuple[Any, float]]:
-        return list(zip(self.cause.parameters, self.values.tolist(), strict=True))
+    def _parameter_entries(self) -> list[tuple[Any, float]]:
+        return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
 
     def _tables(self) -> dict[str, Any]:
-        return {"parameters": self._sizes}
+        return {"parameters": self._size_table}
 
-    def _sizes(self) -> Columns:
-        rows = self._parameters()
+    def _size_table(self) -> ColumnValues:
+        rows = self._parameter_entries()
         return {
             "parameter": [p.name for p, _ in rows],
-            "value": [value / p.factor for p, value in rows],
+            "value": [value / p.si_per_display_unit for p, value in rows],
             "unit": [p.unit for p, _ in rows],
         }
 
     def to_json(self) -> dict[str, Any]:
         """Entry of the effect in a truth file."""
-        cause = self.cause
-        shape = shape_of(cause) if isinstance(cause, Effect) else {}
+        cause = self.effect
+        shape = display_constants(cause) if isinstance(cause, Effect) else {}
         return {
-            "effect": cause.name, "words": self.words, "stations": list(cause.stations), "targets": list(cause.targets),
+            "effect": cause.name, "words": self.request_text,
+            "stations": list(cause.stations), "targets": list(cause.targets),
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
-            "parameters": self.table().json(), "noncentrality": self.noncentrality, "largest": self.largest,
+            "parameters": self.table().json(), "noncentrality": self.noncentrality, "largest": self.largest_changes,
         }  # fmt: skip
 
 
@@ -82,24 +89,28 @@ class InjectionTruth(Result):
     """Effects that were injected into a recording, with their values."""
 
     seed: int
-    causes: tuple[Injected, ...]
+    injected_effects: tuple[InjectedEffect, ...]
 
     def _lines(self) -> list[str]:
-        return [repr(cause) for cause in self.causes]
+        return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
         """Contents of a truth file."""
-        return {"format": FORMAT, "seed": self.seed, "injected": [cause.to_json() for cause in self.causes]}
+        return {
+            "format": INJECTION_FORMAT,
+            "seed": self.seed,
+            "injected": [cause.to_json() for cause in self.injected_effects],
+        }
 
 
-class Injection(NamedTuple):
+class RecordingWithInjection(NamedTuple):
     """Recording with an injected effect, and the injected effect separately."""
 
     recording: Recording
     truth: InjectionTruth
 
 
-CURVE = Table(
+DETECTION_CURVE_TABLE = Table(
     "curve.csv",
     "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
     (
@@ -110,7 +121,7 @@ CURVE = Table(
         *numbers(
             detections="Number of injections with a new finding.",
             placed="Those with a new finding at the right place.",
-            named="Those with a new finding of the right name.",
+            descriptions="Those with a new finding of the right name.",
             right="Those whose first new finding has the right name and place.",
         ),
         *numbers(form=".3f", detections_low="", detections_high=""),
@@ -120,17 +131,17 @@ CURVE = Table(
 
 
 @dataclass(frozen=True, repr=False)
-class InjectionCurve(Result):
+class DetectionCurve(Result):
     """Detection curve: strength of an effect, and probability that it is detected, located and named."""
 
-    words: str
-    background: tuple[str, ...]
+    effect_text: str
+    background_effects: tuple[str, ...]
     """Effects reported for the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
 
     def _lines(self) -> list[str]:
-        reported = ", ".join(self.background) or "nothing"
-        lines = [f"{self.words}, injected into the recording; findings without the injection: {reported}"]
+        reported = ", ".join(self.background_effects) or "nothing"
+        lines = [f"{self.effect_text}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, placed {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
@@ -138,7 +149,7 @@ class InjectionCurve(Result):
         ]
 
     def _tables(self) -> dict[str, Any]:
-        return {"curve": lambda: CURVE.filled(self.rows)}
+        return {"curve": lambda: DETECTION_CURVE_TABLE.filled(self.rows)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,99 +157,111 @@ class Injector:
     """Recording with its adjustment, for the injection of effects."""
 
     recording: Recording
-    space: ResidualSpace
+    residual_space: ResidualSpace
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted state: poses of the stations, positions of the targets."""
-        return self.space.adjustment.state
+        return self.residual_space.adjustment.state
 
-    def change(self, cause: Tunable, values: Floats) -> Floats:
+    def reading_change(self, effect: CandidateEffect, values: Floats) -> Floats:
         """Change (n, 3) [m, rad, rad] of the readings by an effect, NaN for missing readings; 0 for noise."""
-        sightings, readings = self.space.sightings, self.recording.readings
-        if not isinstance(cause, Mistake):
-            return cause.shift(sightings, values)
-        done, instrument = cause.done(sightings), self.state.instrument
+        sightings, readings = self.residual_space.sightings, self.recording.readings
+        if not isinstance(effect, Blunder):
+            return effect.reading_change(sightings, values)
+        done, instrument = effect.measured_sightings(sightings), self.state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
-        construction = self.space.adjustment.problem.model.construction
-        moved, plain = (construction.readings(s.local, s.face, errors) for s in (done, sightings))
-        change: Floats = cause.written(sightings, readings + moved - plain) - readings
-        return np.stack([change[:, 0], *wrap(change[:, 1:]).T], axis=1)
+        construction = self.residual_space.adjustment.problem.model.construction
+        moved, plain = (construction.readings(s.local_points, s.face, errors) for s in (done, sightings))
+        change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
+        return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
-    def lengths(self, cause: Tunable, values: Floats) -> Floats:
+    def length_change(self, effect: CandidateEffect, values: Floats) -> Floats:
         """Change (g,) [m] of the reference lengths by an effect."""
-        gauge = self.space.adjustment.problem.gauge
-        return cause.gauge_design(gauge.first, gauge.second, self.state.points) @ values
+        gauge = self.residual_space.adjustment.problem.gauge_rows
+        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ values
 
-    def deviation(self, cause: NoiseEffect, values: Floats) -> Floats:
+    def added_noise_sigma(self, effect: NoiseEffect, values: Floats) -> Floats:
         """Standard deviation (n, 3) of the added noise."""
         sigma = self.recording.sigma()
-        added = cause.variance(self.space.sightings, sigma, values) - sigma**2
+        added = effect.variance(self.residual_space.sightings, sigma, values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
-            raise ModelError(f"{cause.name} would reduce the noise of the recording; give larger values")
+            raise ModelError(f"{effect.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
-    def noncentrality(self, cause: Tunable, values: Floats) -> float:
+    def noncentrality(self, effect: CandidateEffect, values: Floats) -> float:
         """Noncentrality of an effect after the adjustment; 0 if the network absorbs it."""
-        space = self.space
-        if isinstance(cause, NoiseEffect):
-            used = np.flatnonzero(space.use)
-            factor = 1.0 + (self.deviation(cause, values) / space.sigma).reshape(-1)[used] ** 2
+        space = self.residual_space
+        if isinstance(effect, NoiseEffect):
+            used = np.flatnonzero(space.used_readings)
+            factor = 1.0 + (self.added_noise_sigma(effect, values) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
-        change = np.nan_to_num(self.change(cause, values))
-        whole = space.whiten(change[:, :, None], self.lengths(cause, values)[:, None])[:, 0]
+        change = np.nan_to_num(self.reading_change(effect, values))
+        whole = space.whiten(change[:, :, None], self.length_change(effect, values)[:, None])[:, 0]
         projected = space.project(whole)
         square = float(projected @ projected)
-        return square if square > UNCHECKED * float(whole @ whole) else 0.0
+        return square if square > MIN_NUMERICAL_REDUNDANCY * float(whole @ whole) else 0.0
 
-    def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
+    def scale_to_noncentrality(self, effect: CandidateEffect, values: Floats, wanted: float) -> Floats:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
-        if isinstance(cause, Mistake):
-            raise ModelError(f"{cause.name} has no size; leave out the noncentrality")
+        if isinstance(effect, Blunder):
+            raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
-        for _ in range(ROUNDS):
-            noncentrality = self.noncentrality(cause, factor * values)
+        for _ in range(MAX_SCALING_STEPS):
+            noncentrality = self.noncentrality(effect, factor * values)
             if not noncentrality > 0.0 or (
-                noncentrality < (1.0 + CLOSE) * wanted and self._peak(cause, factor * values) > bound
+                noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * wanted
+                and self._largest_relative_change(effect, factor * values) > bound
             ):
                 break
-            if abs(noncentrality / wanted - 1.0) < CLOSE:
+            if abs(noncentrality / wanted - 1.0) < NONCENTRALITY_TOLERANCE:
                 return factor * values
             factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
         raise ModelError(
-            f"the network absorbs {cause.name} {cause.place}: no plausible size gives a noncentrality of {wanted:g}"
+            f"the network absorbs {effect.name} {effect.place_text}: "
+            f"no plausible size gives a noncentrality of {wanted:g}"
         )
 
-    def _peak(self, cause: Tunable, values: Floats) -> float:
+    def _largest_relative_change(self, effect: CandidateEffect, values: Floats) -> float:
         """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
-        moved = self.deviation(cause, values) if isinstance(cause, NoiseEffect) else self.change(cause, values)
-        return float(np.nanmax(np.abs(moved) / self.space.sigma, initial=0.0))
+        moved = (
+            self.added_noise_sigma(effect, values)
+            if isinstance(effect, NoiseEffect)
+            else self.reading_change(effect, values)
+        )
+        return float(np.nanmax(np.abs(moved) / self.residual_space.sigma, initial=0.0))
 
-    def put(self, cause: Tunable, values: Floats, words: str, rng: np.random.Generator) -> tuple[Recording, Injected]:
+    def inject(
+        self, effect: CandidateEffect, values: Floats, request_text: str, random_generator: np.random.Generator
+    ) -> tuple[Recording, InjectedEffect]:
         """Recording with an injected effect, and the entry of the effect."""
-        if isinstance(cause, NoiseEffect):
-            change = self.deviation(cause, values) * rng.standard_normal(self.recording.readings.shape)
+        if isinstance(effect, NoiseEffect):
+            change = self.added_noise_sigma(effect, values) * random_generator.standard_normal(
+                self.recording.readings.shape
+            )
         else:
-            change = self.change(cause, values)
+            change = self.reading_change(effect, values)
         made = self.recording.with_readings(self.recording.readings + change)
-        lengths = self.lengths(cause, values)
+        lengths = self.length_change(effect, values)
         if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{words}: changes no reading; give a place that was measured, after the time if there is one"
+                f"{request_text}: changes no reading; give a place that was measured, after the time if there is one"
             )
         if lengths.any():
-            gauge = self.space.adjustment.problem.gauge
+            gauge = self.residual_space.adjustment.problem.gauge_rows
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
-                raise ModelError(f"{cause.name}: only the lengths of a gauge can be changed, not those of scale bars")
+                raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = with_certificates(made, certified + lengths * certified / gauge.length)
+            made = with_certificates(made, certified + lengths * certified / gauge.lengths)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
-        return made, Injected(cause, words, values, self.noncentrality(cause, values), largest_by_observable)
+        return made, InjectedEffect(
+            effect, request_text, values, self.noncentrality(effect, values), largest_by_observable
+        )
 
-    def after(self, recording: Recording) -> Self:
+    def with_recording(self, recording: Recording) -> Self:
         """Injector for a recording that already contains an injected effect."""
         return replace(self, recording=recording)

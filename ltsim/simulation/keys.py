@@ -3,32 +3,34 @@
 from typing import Any, Literal
 
 from ltsim.core.errors import LtsimError, SetupError
-from ltsim.core.units import in_unit, unit_of_key
+from ltsim.core.units import parse_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import schemas_at
-from ltsim.simulation.physics import construction_of
+from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
 
-Kind = Literal["number", "integer", "boolean", "string", "table"]
-KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")
+ValueType = Literal["number", "integer", "boolean", "string", "table"]
+"""Type of the value of a scenario key."""
+SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
+"""Types of the values that are no tables."""
 
 
-def kind_of(key: str) -> Kind:
+def value_type_of_key(key: str) -> ValueType:
     """Type of the value at a dotted key; `table` for lists and tables, and for unknown keys."""
-    kinds = {_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
-    return next((kind for kind in KINDS if kind in kinds), "table")
+    kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
+    return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
 
 
-def meaning_of(key: str) -> str:
+def key_description(key: str) -> str:
     """Meaning of a dotted key in the reference; empty for a user-defined name."""
     nodes = (node for node, _ in schemas_at(Scenario, key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
 
-def _type(node: dict[str, Any]) -> str:
-    words = node.get("enum", [node.get("const")])
-    return "integer" if isinstance(words[0], int) else str(node.get("type", "string"))
+def _schema_type(schema_node: dict[str, Any]) -> str:
+    words = schema_node.get("enum", [schema_node.get("const")])
+    return "integer" if isinstance(words[0], int) else str(schema_node.get("type", "string"))
 
 
 def unit_of(scenario: Scenario, key: str) -> str:
@@ -36,18 +38,18 @@ def unit_of(scenario: Scenario, key: str) -> str:
     *parents, last = key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
-            built = construction_of(scenario)
+            built = make_scenario_construction(scenario)
             return built.parameters[built.index(last)].unit
         if parents[:1] == ["effects"] and parents[2:] in (["values"], ["shape"]):
             kind = find_effect(scenario.effects[int(parents[1]) - 1].name)
-            parameters = kind.parameters if parents[2] == "values" else kind.shape
+            parameters = kind.parameters if parents[2] == "values" else kind.shape_parameters
             return next((entry.unit for entry in parameters if entry.name == last), "")
     except (LtsimError, ValueError, IndexError):
         return ""
     return unit_of_key(last)
 
 
-def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
+def convert_value(scenario: Scenario, key: str, value: Any, where: str) -> Any:
     """Value converted for a key: a text such as ``2 urad`` becomes a number in the key's unit.
 
     Raises SetupError, which names `where`, for a text that is no quantity of this kind.
@@ -55,13 +57,15 @@ def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
     unit = unit_of(scenario, key)
-    number = in_unit(value, unit) if unit else None
+    number = parse_in_unit(value, unit) if unit else None
     if unit and number is None:
-        raise SetupError(f"{where}: {key} is '{shown(value)}', but it is in {unit}: write a number, or one of {unit}")
+        raise SetupError(
+            f"{where}: {key} is '{quoted_text(value)}', but it is in {unit}: write a number, or one of {unit}"
+        )
     return value if number is None else number
 
 
-def value_at(table: dict[str, Any], key: str) -> Any:
+def value_at_key(table: dict[str, Any], key: str) -> Any:
     """Value at a dotted key in the tables of a scenario; None if there is none."""
     inner: Any = table
     for part in key.split("."):

@@ -8,16 +8,16 @@ from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment
+from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment_construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.scenario import Scenario, table_name
+from ltsim.simulation.scenario import Scenario, tracker_table_name
 from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
-def construction_of(scenario: Scenario) -> Construction:
+def make_scenario_construction(scenario: Scenario) -> Construction:
     """Construction of the scenario's trackers, which is the same for all."""
-    instrument = next(iter(scenario.trackers.values()))
+    instrument = next(iter(scenario.trackers_in_use.values()))
     return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
@@ -27,31 +27,33 @@ def planned_construction(scenario: Scenario) -> Construction:
     Of the 78 parameters of a D-H chain only the misalignments are planned for; they represent all. A scenario that
     records ranges alone has only the parameters that act on ranges.
     """
-    built = construction_of(scenario)
+    built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
         return built
-    read = {name for tracker in scenario.trackers.values() for name in tracker.observables}
-    return misalignment(effect for effect in BASELINE if read & {*effect.observables})
+    read = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
+    return misalignment_construction(effect for effect in BASELINE if read & {*effect.observables})
 
 
-def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
+def instrument_error_distribution(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
     """Mean and standard deviation (I, p) [SI] of each tracker's errors.
 
     The standard deviation is 0 for declared errors.
 
     Raises SetupError for a declared error that the construction does not have.
     """
-    laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
+    laws = [_error_distribution(tracker, construction, name) for name, tracker in scenario.trackers_in_use.items()]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
 
 
-def _law(instrument: ScenarioInstrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
+def _error_distribution(
+    instrument: ScenarioInstrument, construction: Construction, parameter_name: str
+) -> tuple[Floats, Floats]:
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
-        with as_setup_error(f"{table_name(name)}.errors.{error}"):
+        with as_setup_error(f"{tracker_table_name(parameter_name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
-    mean = np.array([errors.get(p.name, 0.0) * p.factor for p in parameters])
+    mean = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]
     prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
     return mean, np.where(free, instrument.error_factor * prior, 0.0)
@@ -59,43 +61,43 @@ def _law(instrument: ScenarioInstrument, construction: Construction, name: str) 
 
 def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: the specification times the noise factor."""
-    trackers = scenario.trackers.values()
+    trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
     return factor[:, None] * noise_sigma(noise, sightings.instrument, sightings.range_, sightings.elevation)
 
 
-def resolution_of(scenario: Scenario) -> Floats:
+def instrument_resolutions(scenario: Scenario) -> Floats:
     """Resolution (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
-    steps = [tracker.resolution for tracker in scenario.trackers.values()]
+    steps = [tracker.resolution for tracker in scenario.trackers_in_use.values()]
     units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
-def quantised(readings: Floats, step: Floats) -> Floats:
+def round_to_resolution(readings: Floats, step: Floats) -> Floats:
     """Readings (n, 3) rounded to multiples of `step` (3,) or (n, 3) [m, rad, rad]; a step of 0 does not round."""
     step = np.broadcast_to(step, readings.shape)
     return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
 
 
-def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
+def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
     """Effects of the scenario in the order of its file; the incidence error of the reflectors, if enabled, is last.
 
-    The parameters of the incidence error are those of the table (`reflector_error`).
+    The parameters of the incidence error are those of the table (`reflector_error_parameters`).
 
     Raises SetupError with the entry and the permitted values.
     """
-    effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
+    effects = [_effect_from_entry(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
 
 
-def reflector_error(scenario: Scenario) -> Floats:
+def reflector_error_parameters(scenario: Scenario) -> Floats:
     """Parameters (p,) [SI] of the effect `smr-incidence` that correspond to the scenario's table."""
     table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
-    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).values_of_table
+    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
-def _effect_of(entry: EffectEntry, number: int) -> Effect:
+def _effect_from_entry(entry: EffectEntry, number: int) -> Effect:
     effect = entry.effect(f"effects.{number}")
     names = [p.name for p in effect.parameters]
     for name in entry.values:

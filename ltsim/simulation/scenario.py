@@ -12,12 +12,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import Sized, effect_from
-from ltsim.recordings.air import Air
-from ltsim.recordings.files import SourceLocation, shown
-from ltsim.recordings.settings import checked, merge_defaults, read_toml, to_toml, with_instruments
+from ltsim.physics.effects.verbs import SizedEffect, make_effect
+from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.settings import merge_defaults, read_toml, to_toml, validate_settings, with_completed_instruments
 from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
-from ltsim.recordings.specification import sheet_names, tables_from_sheet
+from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tables
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
@@ -35,18 +35,20 @@ from ltsim.simulation.sections import (
     Workshop,
 )
 
-FORMAT = "ltsim-scenario/1"
-AIR = "air_temperature_c"
+SCENARIO_FORMAT = "ltsim-scenario/1"
+"""Format and version of a scenario file."""
+AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Name of the temperature column of a simulated recording."""
 MIN_TARGETS = 3
 """Smallest number of targets, including those of the gauge."""
-MAX_LISTED = 12
-SPELLED_OUT = (
+MAX_LISTED_NAMES = 12
+"""Largest number of names that an error message lists."""
+ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge",
 )  # fmt: skip
 """Keys whose defaults are always written to a scenario's file."""
-REMOVED = "none"
+REMOVAL_VALUE = "none"
 """Value that removes a key of the scenario: ``gauge = "none"``."""
 
 
@@ -89,7 +91,7 @@ class Scenario(TomlSection, Result):
     """Set-ups in the order of measurement, tables `[stations.NAME]`."""
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air that the recording declares, a table `[air]`; it does not change readings."""
     effects: tuple[EffectEntry, ...] = ()
     """Effects in addition to the instrument's errors, tables `[[effects]]`."""
@@ -100,7 +102,7 @@ class Scenario(TomlSection, Result):
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
-    def trackers(self) -> dict[str, ScenarioInstrument]:
+    def trackers_in_use(self) -> dict[str, ScenarioInstrument]:
         """Instruments in use by name, in the order of `Recording.instruments`; '' for one without a name."""
         names = sorted({station.instrument or "" for station in self.stations.values()})
         return {name: self.instruments[name] if name else self.instrument for name in names}
@@ -113,7 +115,7 @@ class Scenario(TomlSection, Result):
         title = f"{self.title}: " if self.title else ""
         faces = "two faces" if self.work.faces == 2 else "one face"
         effects = ", ".join(entry.name for entry in self.effects) or "no effects"
-        trackers = f" by {len(self.trackers)} trackers" if len(self.trackers) > 1 else ""
+        trackers = f" by {len(self.trackers_in_use)} trackers" if len(self.trackers_in_use) > 1 else ""
         measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
         return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
@@ -129,19 +131,19 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         path = builtin_path(name)
     with as_setup_error():
         data = read_toml(path, "scenario")
-    return scenario_from(data, path)
+    return validate_scenario(data, path)
 
 
-def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
+def validate_scenario(data: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its tables; `file` is named in errors, and its folder contains CAD files."""
     with as_setup_error():
-        whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
-        scenario = checked(whole, Scenario, "scenario", file)
-    _check(scenario, file)
+        whole = with_completed_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
+        scenario = validate_settings(whole, Scenario, "scenario", file)
+    _check_scenario(scenario, file)
     return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
-def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
+def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
     """Scenario with some values changed by dotted key, validated again; `file` and `where` are named in errors.
 
     The `preset` of a tracker also sets its noise, its prior and its limits (or asks for them). Raises SetupError for an
@@ -151,30 +153,30 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
-    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
+    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, REMOVED) for key in brought), *changes.items()]:
-        _set(table, key, _as_table(value, effects=key == "effects"), where or str(file))
-    return scenario_from(table, file)
+    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
+        _set_key(table, key, _file_value(value, effects=key == "effects"), where or str(file))
+    return validate_scenario(table, file)
 
 
-def _as_table(value: Any, *, effects: bool) -> Any:
+def _file_value(value: Any, *, effects: bool) -> Any:
     """New value in the form of a file: effects (`lt.Effect` or names, alone or in a list) as their tables."""
-    if isinstance(value, Effect | Sized) or (effects and isinstance(value, str)):
+    if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
         return value
-    given = [effect_from(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
+    given = [make_effect(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
     return [
-        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | Sized) else v
+        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | SizedEffect) else v
         for v in given
     ]
 
 
-def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:
     """Assignment to one dotted key of nested tables.
 
-    Entries of lists are numbered from 1, and the value `REMOVED` removes the key.
+    Entries of lists are numbered from 1, and the value `REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
     inner: Any = table
@@ -184,10 +186,11 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         else:
             inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, (dict, list)):
-            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is not a table of the scenario")
+            through = f"{quoted_text(key)} goes through {quoted_text(name)}"
+            raise SetupError(f"{where}: {through}, which is not a table of the scenario")
     if not isinstance(inner, dict):
-        raise SetupError(f"{where}: {shown(key)} is not a key of a table; entries of a list are numbered from 1")
-    if value == REMOVED:
+        raise SetupError(f"{where}: {quoted_text(key)} is not a key of a table; entries of a list are numbered from 1")
+    if value == REMOVAL_VALUE:
         inner.pop(last, None)
     else:
         inner[last] = value
@@ -198,7 +201,8 @@ def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
     if data.get("base") is None:
         return data
     below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != REMOVED}
+    merged = merge_defaults(data, below)
+    return {key: value for key, value in merged.items() if key != "base" and value != REMOVAL_VALUE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -206,10 +210,10 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
-    if name not in sheet_names():
+    if name not in data_sheet_names():
         return merge_defaults(instrument, PRESETS.get(str(name), {}))
     with as_setup_error(f"{file}: instrument.preset"):
-        below = tables_from_sheet(name, instrument, PointingLimits.model_fields)
+        below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
 
 
@@ -227,7 +231,7 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
                 f"{file}: work.{key} is {wanted}, but the scenario has {there}; add some, or ask for fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
-    targets = scenario.targets if work.targets is None else _spread_targets(scenario.targets, work.targets)
+    targets = scenario.targets if work.targets is None else _select_spread_targets(scenario.targets, work.targets)
     gauge = scenario.gauge.targets if scenario.gauge else ()
     if len(targets) + len(gauge) < MIN_TARGETS:
         least = MIN_TARGETS - len(gauge)
@@ -241,12 +245,12 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
             "targets": targets,
             "instruments": {name: i for name, i in scenario.instruments.items() if name in used},
             "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
-            "effects": tuple(_effects(scenario.effects, {*stations}, {*targets, *gauge})),
+            "effects": tuple(_check_effects(scenario.effects, {*stations}, {*targets, *gauge})),
         }
     )
 
 
-def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+def _check_effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
     for entry in entries:
         here = {
             "stations": tuple(name for name in entry.stations if name in stations),
@@ -256,20 +260,20 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
             yield entry.model_copy(update=here)
 
 
-def _spread_targets(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
-    """Selection of `count` targets in file order, each as far as possible from the previous ones (Gonzalez 1985)."""
+def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
+    """Selection of targets in file order, each as far as possible from the previous ones (Gonzalez 1985)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
-    taken = set(spread_order(places)[:count])
+    taken = set(even_filling_order(places)[:n_targets])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
 
 
-def spread_order(places: Floats) -> list[int]:
+def even_filling_order(points: Floats) -> list[int]:
     """Order of places (n, 3) in which they fill the room evenly, beginning with the one farthest from their centre."""
     order: list[int] = []
-    gap = np.linalg.norm(places - places.mean(axis=0), axis=1) if len(places) else np.zeros(0)
-    for _ in range(len(places)):
+    gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
+    for _ in range(len(points)):
         order.append(int(np.argmax(gap)))
-        reach = np.linalg.norm(places - places[order[-1]], axis=1)
+        reach = np.linalg.norm(points - points[order[-1]], axis=1)
         gap = reach if len(order) == 1 else np.minimum(gap, reach)
         gap[order] = -1.0
     return order
@@ -291,25 +295,25 @@ def _local_path(name: str, folder: Path) -> Path:
     return copied if copied.is_file() and not named.is_file() else named
 
 
-def _check(scenario: Scenario, file: Path) -> None:
+def _check_scenario(scenario: Scenario, file: Path) -> None:
     for problem in chain(
-        _wrong_names(scenario, file),
-        _wrong_instruments(scenario),
-        _wrong_places(scenario),
-        _wrong_lengths(scenario),
-        _wrong_effects(scenario),
+        _name_errors(scenario, file),
+        _instrument_errors(scenario),
+        _place_errors(scenario),
+        _length_errors(scenario),
+        _effect_errors(scenario),
     ):
         raise SetupError(f"{file}: {problem}")
 
 
-def _unknown_name(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
+def unknown_name_sentence(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
     """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
-        listed = ", ".join([*existing][:MAX_LISTED]) + (" ..." if len(existing) > MAX_LISTED else "")
-        yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
+        listed = ", ".join([*existing][:MAX_LISTED_NAMES]) + (" ..." if len(existing) > MAX_LISTED_NAMES else "")
+        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or none}"
 
 
-def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
+def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
@@ -317,34 +321,34 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
         yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name in names:
         if names.count(name) > 1:
-            yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
+            yield f"gauge.targets names '{quoted_text(name)}' twice, or it is a target of the mesh too"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
                 SourceLocation(file).name(name, kind)
 
 
-def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
+def _instrument_errors(scenario: Scenario) -> Iterator[str]:
     """Sentences on stations with unknown trackers, trackers without stations, and different constructions."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
-            yield f"stations.{station}.instrument names '{shown(name)}', which is not declared"
-        yield from _unknown_name(f"stations.{station}.instrument", name, scenario.instruments)
+            yield f"stations.{station}.instrument names '{quoted_text(name)}', which is not declared"
+        yield from unknown_name_sentence(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            yield f"instruments.{shown(name)} is used at no station; name it as the instrument of a station"
-    if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
+            yield f"instruments.{quoted_text(name)} is used at no station; name it as the instrument of a station"
+    if "" not in scenario.trackers_in_use and scenario.instrument != ScenarioInstrument():
         yield "instrument is used at no station: every station names another instrument"
-    designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
+    designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers_in_use.items()}
     (first, first_design), *others = designs.items()
     for name, other in others:
         if other != first_design:
-            designs_named = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
+            designs_named = " and ".join(f"{tracker_table_name(n)} '{designs[n][0]}'" for n in (first, name))
             yield f"instruments have different constructions ({designs_named}); one recording has one, with one order"
 
 
-def _wrong_places(scenario: Scenario) -> Iterator[str]:
+def _place_errors(scenario: Scenario) -> Iterator[str]:
     size = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
@@ -359,29 +363,30 @@ def _wrong_places(scenario: Scenario) -> Iterator[str]:
             yield f"targets.{name}.nest_normal has length 0"
 
 
-def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
+def _length_errors(scenario: Scenario) -> Iterator[str]:
     """Sentences on invalid reference lengths: wrong ends, undeclared material, or invalid temperature."""
     for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
-            yield from _unknown_name(f"lengths.{i}.{key}", name, scenario.targets)
+            yield from unknown_name_sentence(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
-            yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
+            yield f"lengths.{i} goes from '{quoted_text(length.to)}' to itself, expected two different targets"
         if length.material is not None:
             none_hint = "none, and a table [materials.NAME] defines one"
-            yield from _unknown_name(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
-        if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
-            yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
+            yield from unknown_name_sentence(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
+        if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR_TEMPERATURE_COLUMN:
+            given = quoted_text(length.measured_at_c)
+            yield f"lengths.{i}.measured_at_c is '{given}', expected a number or '{AIR_TEMPERATURE_COLUMN}'"
 
 
-def _wrong_effects(scenario: Scenario) -> Iterator[str]:
+def _effect_errors(scenario: Scenario) -> Iterator[str]:
     for i, entry in enumerate(scenario.effects, 1):
         for name in entry.stations:
-            yield from _unknown_name(f"effects.{i}.stations", name, scenario.stations)
+            yield from unknown_name_sentence(f"effects.{i}.stations", name, scenario.stations)
         for name in entry.targets:
-            yield from _unknown_name(f"effects.{i}.targets", name, scenario.target_names)
+            yield from unknown_name_sentence(f"effects.{i}.targets", name, scenario.target_names)
 
 
-def table_name(name: str) -> str:
+def tracker_table_name(name: str) -> str:
     """Name of the scenario table of the tracker with this name; '' for the unnamed one."""
     return f"instruments.{name}" if name else "instrument"
 
@@ -390,6 +395,6 @@ def scenario_to_toml(scenario: Scenario) -> str:
     """Text of a file that `load_scenario` reads as the same scenario, with all settings written out."""
     whole = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
-    table: dict[str, Any] = {name: whole[name] for name in SPELLED_OUT if name in whole}
+    table: dict[str, Any] = {name: whole[name] for name in ALWAYS_WRITTEN_KEYS if name in whole}
     table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
     return to_toml(table | {kind: brief[kind] for kind in ("air", "lengths", "effects") if kind in brief})

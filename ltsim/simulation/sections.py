@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
+from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
 from ltsim.recordings.setup import (
     MIN_SIGMA,
     Finite,
@@ -22,7 +22,7 @@ from ltsim.recordings.setup import (
     TomlSection,
     Vector,
 )
-from ltsim.recordings.specification import sheet_names
+from ltsim.recordings.specification import data_sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
@@ -58,8 +58,8 @@ misalignments that a knock leaves.
 
 
 def _existing_preset(name: str) -> str:
-    if name not in PRESETS and name not in sheet_names():
-        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {sheet_names()[0]}")
+    if name not in PRESETS and name not in data_sheet_names():
+        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
     return name
 
 
@@ -223,7 +223,7 @@ class Smr(TomlSection):
     incidence_error: bool = False
     """True for reflectors with the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
-        round(x / MICROMETRE, 6) for x in PAPER_TABLE
+        round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
     )
     """Range error at -30, -22.5, ... +30 deg of incidence."""
     direction_deg: Angle = 0.0
@@ -377,7 +377,7 @@ class PlacedEffect(TomlSection):
     def effect(self, where: str) -> Effect:
         """Effect object of the entry; raises SetupError that names `where` and the permitted values."""
         try:
-            return effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+            return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
             raise SetupError(f"{where}: {problem}") from None
 
@@ -391,8 +391,8 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def of(cls, given: Effect | Sized) -> Self:
+    def of(cls, given: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        effect, sizes = (given.effect, dict(given.sizes)) if isinstance(given, Sized) else (given, {})
+        effect, sizes = (given.effect, dict(given.parameter_values)) if isinstance(given, SizedEffect) else (given, {})
         places = {"stations": effect.stations, "targets": effect.targets}
-        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=shape_of(effect))
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

@@ -8,8 +8,8 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MILLIMETRE
-from ltsim.geometry.polar import wrap
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.geometry.polar import wrap_angle
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import (
@@ -24,53 +24,62 @@ from ltsim.recordings.setup import (
     Target,
     Vector,
 )
-from ltsim.simulation.draws import NormalSource, TrialDraws, effect_distributions
-from ltsim.simulation.fieldwork import Fieldwork, fieldwork, smrs_of
-from ltsim.simulation.gauge import length_sigma, nominal_points
-from ltsim.simulation.physics import instrument_law, nominal_noise, quantised, resolution_of
+from ltsim.simulation.draws import StandardNormalSource, TrialDistributions, effect_distributions
+from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry, smr_names_of_pointings
+from ltsim.simulation.gauge import length_sigmas, measure_nominal_points
+from ltsim.simulation.physics import (
+    instrument_error_distribution,
+    instrument_resolutions,
+    nominal_noise,
+    round_to_resolution,
+)
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
 
-Geometry = Literal["shared", "per-trial"]
+GeometrySharing = Literal["shared", "per-trial"]
 """Sharing of geometry: one placing of stations and targets for all trials, or a separate one for each."""
 
 
-def simulate(scenario: Scenario, seed: int, trial: int = 0, geometry: Geometry = "shared") -> tuple[Recording, Truth]:
+def simulate(
+    scenario: Scenario, seed: int, trial: int = 0, geometry: GeometrySharing = "shared"
+) -> tuple[Recording, Truth]:
     """Recording and truth of one trial of a scenario, equal to that trial of a campaign with this seed.
 
     Raises SetupError for an impossible scenario.
     """
-    return measure(fieldwork(scenario, seed, *place_key(trial, geometry)), seed, trial)
+    return measure_trial(make_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 
 
-def place_key(trial: int, geometry: Geometry) -> tuple[str | int, ...]:
+def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
     """Key of the draws of positions: common to all trials, or separate for each."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
-def measure(
-    work: Fieldwork, seed: int, trial: int = 0, *, values: Floats | None = None, stream_key: str = ""
+def measure_trial(
+    geometry: MeasurementGeometry, seed: int, trial: int = 0, *, values: Floats | None = None, stream_key: str = ""
 ) -> tuple[Recording, Truth]:
     """Recording and truth of a trial on a fixed geometry; instrument errors, gauge calibration and noise are drawn.
 
     `values` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in `TrialDraws.draw`.
     """
-    blank = error_free(work)
+    blank = error_free_recording(geometry)
     given = None if values is None else values[:, :, None]
-    drawn = population_of(work, blank).draw(NormalSource(seed, np.array([trial])), given, stream_key=stream_key)
-    values, amounts = drawn.values[:, :, 0], tuple(amount[:, 0] for amount in drawn.amounts)
-    readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
-    recording = with_certificates(blank.with_readings(readings), drawn.certified[:, 0])
-    return recording, _truth(work, values, amounts, seed, trial)
+    drawn = trial_distributions(geometry, blank).draw(
+        StandardNormalSource(seed, np.array([trial])), given, stream_key=stream_key
+    )
+    values, amounts = drawn.instrument_values[:, :, 0], tuple(amount[:, 0] for amount in drawn.effect_values)
+    readings = simulate_readings(geometry, values, amounts, drawn.reading_errors[:, :, 0])
+    recording = with_certificates(blank.with_readings(readings), drawn.certified_lengths[:, 0])
+    return recording, _truth_of_trial(geometry, values, amounts, seed, trial)
 
 
-def error_free(work: Fieldwork) -> Recording:
+def error_free_recording(geometry: MeasurementGeometry) -> Recording:
     """Recording of an ideal tracker with exact certificates, and with all declarations."""
-    s, scenario = work.sightings, work.scenario
+    s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
-        setup=_setup(work),
+        setup=_declared_setup(geometry),
         stations=s.station_names,
         targets=s.target_names,
         station=s.station,
@@ -78,87 +87,93 @@ def error_free(work: Fieldwork) -> Recording:
         face=s.face,
         repeat=s.repeat,
         time=s.time,
-        readings=s.raw,
+        readings=s.raw_readings,
         covariates=s.covariates,
-        labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if has_reflectors else {},
+        labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )
-    blank = exact_lengths(bare, work)
-    return blank.replace(notes=(*work.notes, *_idle(work, ReferenceLengths.of(blank))))
+    blank = with_exact_lengths(bare, geometry)
+    return blank.replace(
+        notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
+    )
 
 
-def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
-    """Distributions of the trials on a geometry; `blank` is its error-free recording."""
-    scenario = work.scenario
-    mean, sigma = instrument_law(scenario, work.construction)
-    return TrialDraws(
-        sightings=work.sightings,
-        construction=work.construction,
-        instruments=tuple(scenario.trackers),
-        mean=mean,
-        sigma=sigma,
-        noise=nominal_noise(scenario, work.sightings),
-        lengths=ReferenceLengths.of(blank),
-        names=blank.targets,
-        effects=effect_distributions(scenario, work.effects),
+def trial_distributions(geometry: MeasurementGeometry, error_free: Recording) -> TrialDistributions:
+    """Distributions of the trials on a geometry; `error_free_recording` is its error-free recording."""
+    scenario = geometry.scenario
+    mean, sigma = instrument_error_distribution(scenario, geometry.construction)
+    return TrialDistributions(
+        sightings=geometry.sightings,
+        construction=geometry.construction,
+        instruments=tuple(scenario.trackers_in_use),
+        instrument_means=mean,
+        instrument_sigmas=sigma,
+        noise_sigmas=nominal_noise(scenario, geometry.sightings),
+        reference_lengths=ReferenceLengths.from_recording(error_free),
+        length_end_names=error_free.targets,
+        effects=effect_distributions(scenario, geometry.effects),
         certificate_factor=scenario.cmm.noise_factor,
     )
 
 
-def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], noise: Floats) -> Floats:
+def simulate_readings(
+    geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...], noise: Floats
+) -> Floats:
     """Raw readings (n, 3) with noise and rounding; NaN for observables that are not recorded.
 
     `instrument` (I, p) [SI] are the errors of the trackers, `values` has parameters (q,) [SI] for each effect of
     `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
     """
-    readings = exact_readings(work, instrument, values) + noise
-    readings[:, 1] = wrap(readings[:, 1])
-    readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
-    for mistake in blunders_in(work.effects, values):
-        readings = mistake.written(work.sightings, readings)
-    recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
-    return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
+    readings = exact_readings(geometry, instrument, values) + noise
+    readings[:, 1] = wrap_angle(readings[:, 1])
+    readings = round_to_resolution(readings, instrument_resolutions(geometry.scenario)[geometry.sightings.instrument])
+    for mistake in occurring_blunders(geometry.effects, values):
+        readings = mistake.recorded_readings(geometry.sightings, readings)
+    recorded = [
+        [name in tracker.observables for name in OBSERVABLES] for tracker in geometry.scenario.trackers_in_use.values()
+    ]
+    return np.where(np.array(recorded)[geometry.sightings.instrument], readings, np.nan)
 
 
-def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
+def exact_readings(geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
     """Raw readings (n, 3) without noise: the exact construction, then effects in the order of their stages.
 
     `instrument` and `values` as of `simulate_readings`.
     """
-    sightings = work.sightings
-    for mistake in blunders_in(work.effects, values):
-        sightings = mistake.done(sightings)
+    sightings = geometry.sightings
+    for mistake in occurring_blunders(geometry.effects, values):
+        sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
-    readings = work.construction.readings(sightings.local, sightings.face, errors)
-    for k in sorted(range(len(work.effects)), key=lambda k: work.effects[k].stage):
-        if not isinstance(work.effects[k], Mistake):
-            readings = readings + work.effects[k].shift(sightings, values[k])
+    readings = geometry.construction.readings(sightings.local_points, sightings.face, errors)
+    for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
+        if not isinstance(geometry.effects[k], Blunder):
+            readings = readings + geometry.effects[k].reading_change(sightings, values[k])
     return readings
 
 
-def blunders_in(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
+def occurring_blunders(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Blunder]:
     """Blunders in a trial: those whose parameter is not 0."""
-    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
+    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
-def idle_effects(work: Fieldwork) -> Iterator[str]:
+def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
     """Notes on effects without influence, because a column, a time or a nest is missing."""
-    yield from error_free(work).notes[len(work.notes) :]
+    yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
-def _idle(work: Fieldwork, lengths: ReferenceLengths) -> Iterator[str]:
+def _ineffective_reason(work: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
     for effect in work.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
             continue
-        if np.any(effect.gauge_design(lengths.first, lengths.second, work.sightings.points)):
+        if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, work.sightings.target_points)):
             continue
         yield f"{effect.name} changes no reading here"
 
 
-def _setup(work: Fieldwork) -> Setup:
-    scenario, step = work.scenario, work.scenario.placing
+def _declared_setup(geometry: MeasurementGeometry) -> Setup:
+    scenario, step = geometry.scenario, geometry.scenario.placing
     stations = {
         name: Station(
-            position_mm=_rounded(s.position_mm, step.plan_step_mm),
+            position_mm=_rounded_position(s.position_mm, step.plan_step_mm),
             yaw_deg=step.plan_step_deg * round(s.yaw_deg / step.plan_step_deg),
             levelled=s.levelled,
             levelling_sigma_arcsec=s.levelling_sigma_arcsec,
@@ -169,10 +184,10 @@ def _setup(work: Fieldwork) -> Setup:
     return Setup(
         title=scenario.title,
         air=scenario.air,
-        instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers else Instrument(),
+        instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers_in_use else Instrument(),
         instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
         stations=stations,
-        targets=_targets(work),
+        targets=_declared_targets(geometry),
         reflectors=scenario.reflectors,
         reference_radius_mm=scenario.reference_radius_mm,
     )
@@ -194,59 +209,67 @@ def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
 
 
-def _rounded(place: Vector, step: float) -> Vector:
+def _rounded_position(place: Vector, step: float) -> Vector:
     x, y, z = (step * round(value / step) for value in place)
     return x, y, z
 
 
-def _targets(work: Fieldwork) -> dict[str, Target]:
-    scenario, s = work.scenario, work.sightings
+def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
+    scenario, s = geometry.scenario, geometry.sightings
     table = {}
     for i, name in enumerate(s.target_names):
         reflector = scenario.targets[name].reflector if name in scenario.targets else None
         table[name] = Target(
-            nest_normal=tuple(s.nest_normal[i].round(4).tolist()) if np.isfinite(s.nest_normal[i]).all() else None,
-            reaimed=bool(s.reaimed[i]),
+            nest_normal=tuple(s.nest_normals[i].round(4).tolist()) if np.isfinite(s.nest_normals[i]).all() else None,
+            reaimed=bool(s.is_reaimed[i]),
             reflector=reflector or scenario.smr.reflector,
         )
     return table
 
 
-def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int) -> Truth:
-    s, scenario = work.sightings, work.scenario
-    trackers = scenario.trackers
-    names = work.construction.names_of(tuple(trackers))
+def _truth_of_trial(
+    geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int
+) -> Truth:
+    s, scenario = geometry.sightings, geometry.scenario
+    trackers = scenario.trackers_in_use
+    names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
     if scenario.cmm.nominal:
-        nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ()))
+        nominal = measure_nominal_points(
+            s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
+        )
     arrays = TruthArrays(
-        position=s.position,
-        rotation=s.rotation,
-        points=s.points,
-        instrument=dict(zip(names, instrument.ravel().tolist(), strict=True)),
-        effects=tuple(AppliedEffect(e, v) for e, v in zip(work.effects, values, strict=True)),
-        nominal=nominal,
+        station_positions=s.station_positions,
+        station_rotations=s.station_rotations,
+        target_points=s.target_points,
+        instrument_values=dict(zip(names, instrument.ravel().tolist(), strict=True)),
+        effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, values, strict=True)),
+        nominal_points=nominal,
     )
-    units = [p.unit for p in work.construction.parameters] * len(trackers)
+    units = [p.unit for p in geometry.construction.parameters] * len(trackers)
     named = tuple(
         TrackerTruth(name=name, stations=scenario.stations_of(name), noise_factor=tracker.noise_factor)
         for name, tracker in trackers.items()
     )
     noise = {"instruments": named} if scenario.instruments else {"noise_factor": scenario.instrument.noise_factor}
-    settings = {"title": scenario.title, "seed": seed, "trial": trial, "construction": work.construction.name}
-    return Truth.of(arrays, s.station_names, s.target_names, units, **settings, **noise)
+    settings = {"title": scenario.title, "seed": seed, "trial": trial, "construction": geometry.construction.name}
+    return Truth.from_arrays(arrays, s.station_names, s.target_names, units, **settings, **noise)
 
 
-def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
+def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
     """Recording with the declared properties of its reference lengths, and with certificates without error.
 
     The lengths are those between the true positions of the reflectors.
     """
-    scenario, points = work.scenario, work.sightings.points
+    scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
     if gauge is None and not scenario.lengths:
         return recording
-    lines_of_targets = [(line, um) for line, um in _lines(scenario) if {line.from_, line.to} <= set(recording.targets)]
+    lines_of_targets = [
+        (line, um)
+        for line, um in _declared_reference_lengths(scenario)
+        if {line.from_, line.to} <= set(recording.targets)
+    ]
     gauge_keys: dict[str, Any] = {}
     if gauge is not None:
         warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
@@ -254,14 +277,16 @@ def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
     lines = tuple(line for line, _ in lines_of_targets)
     nominal = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **gauge_keys)
     blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": nominal}))
-    there = ReferenceLengths.of(blank)
-    certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
-    by_machine = length_sigma(scenario.cmm, certified).tolist()
+    there = ReferenceLengths.from_recording(blank)
+    certified = (
+        np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.growth_factors
+    )
+    by_machine = length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
     return with_certificates(blank, certified, sigma)
 
 
-def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
+def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
     """Reference lengths of the gauge and of scale bars, each 1 mm long, with the declared sigma [um] if any."""
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:

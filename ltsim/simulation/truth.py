@@ -9,24 +9,24 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from scipy.spatial.transform import Rotation
 
-from ltsim.adjustment.evaluation.criteria import NOMINAL
+from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.results import Table, numbers, texts
-from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.rotations import quaternion
+from ltsim.geometry.rotations import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import effect_from, shape_of
-from ltsim.recordings.files import shown, write_text
+from ltsim.physics.effects.verbs import display_constants, make_effect
+from ltsim.recordings.files import quoted_text, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
-INSTRUMENT = Table(
+INSTRUMENT_TABLE = Table(
     "instrument.csv",
     "true errors of the instruments",
     (*texts(parameter="name"), *numbers(value="true value"), *texts(unit="of the value")),
 )
-POINTS = Table(
+POINTS_TABLE = Table(
     "points.csv",
     "true positions of the targets in the workshop frame",
     (*texts(target="name"), *numbers("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
@@ -38,31 +38,31 @@ class AppliedEffect(ValueEquality):
     """Applied effect with the true values (q,) [SI] of its parameters."""
 
     effect: Effect
-    values: Floats
+    parameter_values: Floats
 
 
 @dataclass(frozen=True)
 class TruthArrays(ValueEquality):
     """True values in SI units, workshop frame."""
 
-    position: Floats
+    station_positions: Floats
     """Positions of the stations, (S, 3) [m]."""
-    rotation: Floats
+    station_rotations: Floats
     """Instrument frame to workshop, (S, 3, 3)."""
-    points: Floats
+    target_points: Floats
     """Positions of the targets, without the displacements of effects, (T, 3) [m]."""
-    instrument: Mapping[str, float]
+    instrument_values: Mapping[str, float]
     """True values [SI] of the construction's parameters by name; ``beam-tilt@NAME`` for several instruments."""
     effects: tuple[AppliedEffect, ...] = ()
     """Applied effects, in addition to the instrument's parameters."""
-    nominal: Floats | None = None
+    nominal_points: Floats | None = None
     """Coordinates of the targets from the measuring machine, (T, 3) [m]; None without one."""
 
 
-def _require_unit(unit: str) -> str:
+def _checked_unit(unit: str) -> str:
     """The unit, checked to be known; raises ValueError."""
-    if unit not in FACTOR:
-        raise ValueError(f"'{shown(unit)}' is not a unit, expected one of {', '.join(FACTOR)}")
+    if unit not in SI_PER_UNIT:
+        raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
     return unit
 
 
@@ -77,38 +77,38 @@ class TrackerTruth(Entry):
     """Ratio of its true noise to the declared noise."""
 
 
-class TrueValue(Entry):
+class TrueParameterValue(Entry):
     """True value of a parameter."""
 
     name: str
     """Name of the parameter."""
     value: Finite
     """True value."""
-    unit: Annotated[str, AfterValidator(_require_unit)]
+    unit: Annotated[str, AfterValidator(_checked_unit)]
     """Unit of the value."""
 
     @property
     def si(self) -> float:
         """True value [SI]."""
-        return self.value * FACTOR[self.unit]
+        return self.value * SI_PER_UNIT[self.unit]
 
 
-class InstrumentValue(TrueValue):
+class TrueInstrumentValue(TrueParameterValue):
     """True value of an instrument's parameter."""
 
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
     @classmethod
-    def of(cls, flat_name: str, value: float, unit: str) -> Self:
-        """Entry of a value [SI]; `flat_name` has the form of `Construction.names_of`."""
+    def from_si(cls, flat_name: str, value: float, unit: str) -> Self:
+        """Entry of a value [SI]; `flat_name` has the form of `Construction.instrument_parameter_names`."""
         name, _, instrument = flat_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
-        return cls(name=name, value=value / FACTOR[unit], unit=unit, **whose)
+        return cls(name=name, value=value / SI_PER_UNIT[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
-        """Name of the parameter with its instrument, in the form of `Construction.names_of`."""
+        """Name of the parameter with its instrument, in the form of `Construction.instrument_parameter_names`."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
@@ -123,29 +123,31 @@ class TrueEffect(Entry):
     """Targets at which it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in units of display if the effect declares one, otherwise in SI."""
-    parameters: tuple[TrueValue, ...] = ()
+    parameters: tuple[TrueParameterValue, ...] = ()
     """True values of its parameters."""
 
     @classmethod
-    def of(cls, applied: AppliedEffect) -> Self:
+    def from_applied(cls, applied: AppliedEffect) -> Self:
         """The entry of an effect."""
-        effect, values = applied.effect, applied.values.tolist()
+        effect, values = applied.effect, applied.parameter_values.tolist()
         return cls(
             effect=effect.name,
             stations=effect.stations,
             targets=effect.targets,
-            shape=shape_of(effect),
+            shape=display_constants(effect),
             parameters=tuple(
-                TrueValue(name=p.name, value=value / p.factor, unit=p.unit)
+                TrueParameterValue(name=p.name, value=value / p.si_per_display_unit, unit=p.unit)
                 for p, value in zip(effect.parameters, values, strict=True)
             ),
         )
 
-    def applied(self) -> AppliedEffect:
+    def to_applied(self) -> AppliedEffect:
         """The effect as an object, with its values [SI]; raises LtsimError."""
-        effect = effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+        effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         values = {p.name: p.value for p in self.parameters}
-        return AppliedEffect(effect, np.array([values.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+        return AppliedEffect(
+            effect, np.array([values.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
+        )
 
 
 class TruePoint(Entry):
@@ -178,7 +180,7 @@ class Truth(ResultFile):
     """Number of the trial among those of its seed."""
     construction: str
     """Construction that generated the readings."""
-    parameters: tuple[InstrumentValue, ...] = ()
+    parameters: tuple[TrueInstrumentValue, ...] = ()
     """True errors of the instruments."""
     effects: tuple[TrueEffect, ...] = ()
     """Effects beyond the errors of the instruments."""
@@ -200,13 +202,13 @@ class Truth(ResultFile):
             raise ValueError("the nominal points are not those of the targets, in their order")
         try:
             for entry in self.effects:
-                entry.applied()
+                entry.to_applied()
         except (LtsimError, TypeError, KeyError) as problem:
             raise ValueError(f"effects: {problem}") from None
         return self
 
     @classmethod
-    def of(
+    def from_arrays(
         cls,
         arrays: TruthArrays,
         stations: Sequence[str],
@@ -218,20 +220,26 @@ class Truth(ResultFile):
 
         `fields` are other fields of the model.
         """
-        nominal = {} if arrays.nominal is None else {"nominal": _points(targets, arrays.nominal)}
+        nominal = {} if arrays.nominal_points is None else {"nominal": _point_entries(targets, arrays.nominal_points)}
         made = cls.model_validate(
             {
                 **fields,
                 "parameters": tuple(
-                    InstrumentValue.of(name, value, unit)
-                    for (name, value), unit in zip(arrays.instrument.items(), units, strict=True)
+                    TrueInstrumentValue.from_si(name, value, unit)
+                    for (name, value), unit in zip(arrays.instrument_values.items(), units, strict=True)
                 ),
-                "effects": tuple(map(TrueEffect.of, arrays.effects)),
+                "effects": tuple(map(TrueEffect.from_applied, arrays.effects)),
                 "stations": tuple(
-                    TruePose(name=p.name, position_mm=p.position_mm, rotation_quaternion=quaternion(turn).tolist())
-                    for p, turn in zip(_points(stations, arrays.position), arrays.rotation, strict=True)
+                    TruePose(
+                        name=p.name,
+                        position_mm=p.position_mm,
+                        rotation_quaternion=quaternion_from_matrix(turn).tolist(),
+                    )
+                    for p, turn in zip(
+                        _point_entries(stations, arrays.station_positions), arrays.station_rotations, strict=True
+                    )
                 ),
-                "targets": _points(targets, arrays.points),
+                "targets": _point_entries(targets, arrays.target_points),
                 **nominal,
             }
         )
@@ -243,34 +251,34 @@ class Truth(ResultFile):
         """The true values in SI units."""
         if self._arrays is None:
             self._arrays = TruthArrays(
-                position=_positions(self.stations),
-                rotation=Rotation.from_quat([s.rotation_quaternion for s in self.stations]).as_matrix(),
-                points=_positions(self.targets),
-                instrument={p.flat_name: p.si for p in self.parameters},
-                effects=tuple(entry.applied() for entry in self.effects),
-                nominal=None if self.nominal is None else _positions(self.nominal),
+                station_positions=_entry_positions(self.stations),
+                station_rotations=Rotation.from_quat([s.rotation_quaternion for s in self.stations]).as_matrix(),
+                target_points=_entry_positions(self.targets),
+                instrument_values={p.flat_name: p.si for p in self.parameters},
+                effects=tuple(entry.to_applied() for entry in self.effects),
+                nominal_points=None if self.nominal is None else _entry_positions(self.nominal),
             )
         return self._arrays
 
     @property
-    def position(self) -> Floats:
+    def station_positions(self) -> Floats:
         """True positions of the stations, (S, 3) [m]."""
-        return self.arrays.position
+        return self.arrays.station_positions
 
     @property
-    def rotation(self) -> Floats:
+    def station_rotations(self) -> Floats:
         """Rotations from instrument frame to workshop, (S, 3, 3)."""
-        return self.arrays.rotation
+        return self.arrays.station_rotations
 
     @property
-    def points(self) -> Floats:
+    def target_points(self) -> Floats:
         """True positions of the targets without the displacements of effects, (T, 3) [m]."""
-        return self.arrays.points
+        return self.arrays.target_points
 
     @property
-    def instrument(self) -> Mapping[str, float]:
+    def instrument_values(self) -> Mapping[str, float]:
         """True values of the construction's parameters [SI], ``beam-tilt@NAME`` where there are several instruments."""
-        return self.arrays.instrument
+        return self.arrays.instrument_values
 
     @property
     def units(self) -> dict[str, str]:
@@ -278,7 +286,7 @@ class Truth(ResultFile):
         return {p.flat_name: p.unit for p in self.parameters}
 
     @property
-    def applied(self) -> tuple[AppliedEffect, ...]:
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
         """Applied effects, in addition to the instrument's parameters."""
         return self.arrays.effects
 
@@ -299,18 +307,18 @@ class Truth(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "instrument": lambda: INSTRUMENT.filled([p.flat_name, p.value, p.unit] for p in self.parameters),
-            "targets": lambda: POINTS.filled([p.name, *p.position_mm] for p in self.targets),
+            "instrument": lambda: INSTRUMENT_TABLE.filled([p.flat_name, p.value, p.unit] for p in self.parameters),
+            "targets": lambda: POINTS_TABLE.filled([p.name, *p.position_mm] for p in self.targets),
         }
 
 
-def _points(names: Sequence[str], positions: Floats) -> tuple[TruePoint, ...]:
+def _point_entries(names: Sequence[str], positions: Floats) -> tuple[TruePoint, ...]:
     """Entries of positions (n, 3) [m]."""
     places = (positions / MILLIMETRE).tolist()
     return tuple(TruePoint(name=name, position_mm=place) for name, place in zip(names, places, strict=True))
 
 
-def _positions(points: Sequence[TruePoint]) -> Floats:
+def _entry_positions(points: Sequence[TruePoint]) -> Floats:
     """Positions (n, 3) [m] of entries."""
     return np.array([p.position_mm for p in points]).reshape(-1, 3) * MILLIMETRE
 
@@ -332,4 +340,4 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL.filled([p.name, *p.position_mm] for p in truth.nominal).csv()
+    return NOMINAL_TABLE.filled([p.name, *p.position_mm] for p in truth.nominal).csv()

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple, get_args
 
 from ltsim.core.arguments import check_bounds, check_choice, check_mapping, source_path
 from ltsim.recordings import Recording
-from ltsim.simulation.scenario import Scenario, changed, load_scenario
-from ltsim.simulation.simulator import Geometry, simulate as measured
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
+from ltsim.simulation.simulator import GeometrySharing, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
 """Scenario, its file, or the name of a built-in one."""
 
 
-class Simulated(NamedTuple):
+class SimulatedRecording(NamedTuple):
     """Recording and its truth."""
 
     recording: Recording
@@ -44,9 +44,9 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     """
     check_mapping("changes", changes)
     if isinstance(source, Scenario):
-        return changed(source, changes, Path(source.title or "the scenario")) if changes else source
+        return change_scenario(source, changes, Path(source.title or "the scenario")) if changes else source
     loaded = load_scenario(source_path(source))
-    return changed(loaded, changes, Path(source)) if changes else loaded
+    return change_scenario(loaded, changes, Path(source)) if changes else loaded
 
 
 def simulate(
@@ -54,9 +54,9 @@ def simulate(
     *,
     seed: int = 0,
     trial: int = 0,
-    geometry: Geometry = "shared",
+    geometry: GeometrySharing = "shared",
     changes: Mapping[str, Any] | None = None,
-) -> Simulated:
+) -> SimulatedRecording:
     """Recording of a virtual workshop, and its truth.
 
     Parameters
@@ -93,5 +93,5 @@ def simulate(
     (16, 3)
     """
     check_bounds(seed=seed, trial=trial, required="seed trial")
-    check_choice("geometry", geometry, get_args(Geometry))
-    return Simulated(*measured(scenario(source, changes), seed, trial, geometry))
+    check_choice("geometry", geometry, get_args(GeometrySharing))
+    return SimulatedRecording(*measured(scenario(source, changes), seed, trial, geometry))

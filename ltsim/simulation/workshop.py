@@ -9,33 +9,33 @@ from scipy.spatial.transform import Rotation
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.scene.cad import CadFile, extent, inside, read_mesh, size_question
-from ltsim.scene.meshes import Obstacles, box, cylinder, joined_obstacles, transformed
-from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, joined_tables, visibility
-from ltsim.simulation.gauge import frame_of, in_workshop
+from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_room, read_mesh
+from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, place_triangles
+from ltsim.scene.visibility import SightLimits, Visibility, aim_nest_normals, compute_visibility, join_visibility_tables
+from ltsim.simulation.gauge import gauge_points_in_workshop, make_gauge_frame
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle, ScenarioInstrument
 
 
 @dataclass(frozen=True)
-class Layout:
+class WorkshopLayout:
     """Poses of stations and positions of targets; SI units, the workshop's frame."""
 
-    stations: tuple[str, ...]
-    targets: tuple[str, ...]
-    position: Floats
+    station_names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    station_positions: Floats
     """Positions of the stations, (S, 3) [m]."""
-    rotation: Floats
+    station_rotations: Floats
     """Instrument frame to workshop, (S, 3, 3)."""
-    points: Floats
+    target_points: Floats
     """Positions of the targets, (T, 3) [m]."""
-    nest_normal: Floats
+    nest_normals: Floats
     """Unit normals of the nests, NaN if unknown, (T, 3)."""
-    reaimed: Bools
+    is_reaimed: Bools
     """Flags (T,) of re-aimed reflectors."""
 
 
-def planned(scenario: Scenario) -> Layout:
+def planned_layout(scenario: Scenario) -> WorkshopLayout:
     """Planned layout of a scenario; reflectors of the mesh first, then those of the gauge.
 
     Raises SetupError if no gauge has the declared lengths.
@@ -45,21 +45,23 @@ def planned(scenario: Scenario) -> Layout:
     angles = np.array([[s.roll_deg, s.pitch_deg, s.yaw_deg] for s in stations], dtype=np.float64) * DEGREE
     points = np.array([t.position_mm for t in scenario.targets.values()], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     if scenario.gauge is not None:
-        frame = frame_of(scenario.gauge)
-        points = np.concatenate([points, in_workshop(scenario.gauge, frame, scenario.workshop.temperature_c)])
-    normal, reaimed = _nests(scenario, position, points)
-    return Layout(
-        stations=tuple(scenario.stations),
-        targets=scenario.target_names,
-        position=position,
-        rotation=Rotation.from_euler("xyz", angles).as_matrix(),
-        points=points,
-        nest_normal=normal,
-        reaimed=reaimed,
+        frame = make_gauge_frame(scenario.gauge)
+        points = np.concatenate(
+            [points, gauge_points_in_workshop(scenario.gauge, frame, scenario.workshop.temperature_c)]
+        )
+    normal, reaimed = _nest_normals_and_flags(scenario, position, points)
+    return WorkshopLayout(
+        station_names=tuple(scenario.stations),
+        target_names=scenario.target_names,
+        station_positions=position,
+        station_rotations=Rotation.from_euler("xyz", angles).as_matrix(),
+        target_points=points,
+        nest_normals=normal,
+        is_reaimed=reaimed,
     )
 
 
-def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
+def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
     """Normals (T, 3) of the nests and flags (T,) of re-aimed reflectors.
 
     Fixed nests without a normal face the stations.
@@ -76,11 +78,11 @@ def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
-        normal[open_] = aimed_normals(position, points[open_])[0]
+        normal[open_] = aim_nest_normals(position, points[open_])[0]
     return normal, reaimed
 
 
-def sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
+def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
     """Limits of a line of sight for a tracker of the scenario and its reflectors."""
     limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(
@@ -88,35 +90,35 @@ def sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits
         elevation_max=limits.elevation_max_deg * DEGREE,
         range_min=limits.range_min_mm * MILLIMETRE,
         range_max=limits.range_max_mm * MILLIMETRE,
-        acceptance=scenario.smr.acceptance_deg * DEGREE,
-        opening=None if cone is None else cone * DEGREE,
+        max_incidence=scenario.smr.acceptance_deg * DEGREE,
+        declared_cone_opening=None if cone is None else cone * DEGREE,
     )
 
 
 @dataclass(frozen=True)
-class Body:
+class PlacedObstacle:
     """Obstacle at its position."""
 
     name: str
     triangles: Floats
     """Triangles of the obstacle, (m, 3, 3) [m]."""
-    cad: CadFile | None
+    cad_file: CadFile | None
     """CAD file of the obstacle; None for a box or cylinder."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Text on a body: name, interpretation of its file, size and place."""
-        read = f" ({self.cad.file.name}, {self.cad.read_as})" if self.cad else ""
-        return f"{self.name or 'obstacle'}{read}: {extent(self.triangles)}"
+        read = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
+        return f"{self.name or 'obstacle'}{read}: {extent_text(self.triangles)}"
 
 
-def obstacles_of(scenario: Scenario) -> Obstacles | None:
+def make_obstacles(scenario: Scenario) -> Obstacles | None:
     """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
-    parts = bodies_of(scenario)
-    return joined_obstacles(body.triangles for body in parts) if parts else None
+    parts = placed_obstacles(scenario)
+    return join_obstacles(body.triangles for body in parts) if parts else None
 
 
-def bodies_of(scenario: Scenario) -> list[Body]:
+def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     """Obstacles at their positions.
 
     Raises SetupError for a CAD file that cannot be read, or whose size or position is implausible.
@@ -129,53 +131,57 @@ def bodies_of(scenario: Scenario) -> list[Body]:
             cad = read_mesh(Path(entry.file), entry.unit, entry.up)
             triangles = cad.triangles
         elif entry.box_mm is not None:
-            triangles = box(np.array(entry.box_mm) * MILLIMETRE)
+            triangles = box_triangles(np.array(entry.box_mm) * MILLIMETRE)
         elif entry.cylinder_mm is not None:
             diameter, height = np.array(entry.cylinder_mm) * MILLIMETRE
-            triangles = cylinder(float(diameter), float(height))
+            triangles = cylinder_triangles(float(diameter), float(height))
         else:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
-        body = Body(entry.name or f"obstacle {i}", _in_place(entry, triangles), cad)
-        if cad is not None and (asked := size_question(cad, room) or _place_question(entry, body, cad, room)):
+        body = PlacedObstacle(entry.name or f"obstacle {i}", _placed_triangles(entry, triangles), cad)
+        if cad is not None and (
+            asked := implausible_size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
+        ):
             raise SetupError(asked)
         parts.append(body)
     return parts
 
 
-def _in_place(entry: Obstacle, triangles: Floats) -> Floats:
-    return transformed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+def _placed_triangles(entry: Obstacle, triangles: Floats) -> Floats:
+    return place_triangles(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
 
 
-def _place_question(entry: Obstacle, body: Body, cad: CadFile, room: Floats) -> str:
+def _implausible_place_question(entry: Obstacle, body: PlacedObstacle, cad: CadFile, room: Floats) -> str:
     """Question to the user about an obstacle that extends beyond the room; empty for none."""
-    if entry.beyond_room or inside(body.triangles, room):
+    if entry.beyond_room or is_inside_room(body.triangles, room):
         return ""
-    other = "z" if cad.up == "y" else "y"
-    turned = _in_place(entry, cad.turned)
+    other = "z" if cad.vertical_axis == "y" else "y"
+    turned = _placed_triangles(entry, cad.with_other_vertical)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
-    fits = f'with up = "{other}" it is inside the room' if inside(turned, room) else "move it by position_mm"
+    fits = f'with up = "{other}" it is inside the room' if is_inside_room(turned, room) else "move it by position_mm"
     return (
-        f"{cad.file}: {what} of {size} m ({cad.read_as}: {extent(body.triangles)}); {fits}; "
+        f"{cad.file}: {what} of {size} m ({cad.interpretation_text}: {extent_text(body.triangles)}); {fits}; "
         "if this is correct, set beyond_room = true"
     )
 
 
-def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:
+def make_visibility(scenario: Scenario, layout: WorkshopLayout | None = None) -> Visibility:
     """Visibility in a scenario as planned or with another layout, with the limits of each tracker."""
-    there = planned(scenario) if layout is None else layout
-    obstacles = obstacles_of(scenario)
-    stations_of_tracker = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]
+    there = planned_layout(scenario) if layout is None else layout
+    obstacles = make_obstacles(scenario)
+    stations_of_tracker = [
+        [there.station_names.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers_in_use
+    ]
     tables = [
-        visibility(
-            there.position[stations],
-            there.points,
-            sight_limits(scenario, tracker),
-            rotation=there.rotation[stations],
-            nest_normal=there.nest_normal,
-            reaimed=there.reaimed,
+        compute_visibility(
+            there.station_positions[stations],
+            there.target_points,
+            make_sight_limits(scenario, tracker),
+            rotation=there.station_rotations[stations],
+            nest_normal=there.nest_normals,
+            reaimed=there.is_reaimed,
             obstacles=obstacles,
         )
-        for stations, tracker in zip(stations_of_tracker, scenario.trackers.values(), strict=True)
+        for stations, tracker in zip(stations_of_tracker, scenario.trackers_in_use.values(), strict=True)
     ]
-    return joined_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))
+    return join_visibility_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))

@@ -11,7 +11,8 @@ import scipy.linalg
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 
-PASSES = 12
+MAX_VERTEX_SEARCHES = 12
+"""Largest number of searches of an optimal vertex with new perturbations."""
 CANDIDATE_ROWS_RATIO = 8
 """Number of rows, in multiples of the number of unknowns, among which the first vertex is searched: those with the
 smallest residuals.
@@ -20,11 +21,13 @@ PERTURBATION = 1e-6
 """Size of the perturbation of rows, relative to the usual residual, that prevents more rows than unknowns from having
 zero residuals at one vertex.
 """
-MAX_EDGES = 2000
-ROUNDING = 1e-9
+MAX_DESCENT_EDGES = 2000
+"""Largest number of edges along which one search descends."""
+ROUNDING_TOLERANCE = 1e-9
+"""Relative size below which a slope counts as zero (rounding)."""
 
 
-def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) -> Floats:
+def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats | None = None) -> Floats:
     """Solution (k,) of ``min sum |goal - design @ x|``.
 
     Raises NetworkError if the descent does not end, which only rounding can cause.
@@ -33,54 +36,54 @@ def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) 
     ----------
     design : (m, k) float
         Of full rank.
-    goal : (m,) float
-    near : (k,) float, optional
+    observations : (m,) float
+    start : (k,) float, optional
         Start point; the solution does not depend on it.
     """
-    x = np.asarray(np.linalg.lstsq(design, goal, rcond=None)[0], dtype=np.float64) if near is None else near
-    usual = float(np.median(np.abs(goal - design @ x)))
+    x = np.asarray(np.linalg.lstsq(design, observations, rcond=None)[0], dtype=np.float64) if start is None else start
+    usual = float(np.median(np.abs(observations - design @ x)))
     if not usual > 0.0 or not design.shape[1]:
         return x
-    if near is None:
-        for floor in usual * np.geomspace(1.0, 0.01, PASSES):
-            weighted = design / np.maximum(np.abs(goal - design @ x), floor)[:, None]
-            x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ goal), dtype=np.float64)
+    if start is None:
+        for floor in usual * np.geomspace(1.0, 0.01, MAX_VERTEX_SEARCHES):
+            weighted = design / np.maximum(np.abs(observations - design @ x), floor)[:, None]
+            x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
     # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
-    split = (0.6180339887498949 * np.arange(len(goal), dtype=np.float64) ** 2) % 1.0 - 0.5
-    met = _optimal_vertex(design, goal + PERTURBATION * usual * split, x)
-    return np.asarray(np.linalg.solve(design[met], goal[met]), dtype=np.float64)
+    split = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
+    met = _optimal_vertex(design, observations + PERTURBATION * usual * split, x)
+    return np.asarray(np.linalg.solve(design[met], observations[met]), dtype=np.float64)
 
 
-def _optimal_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:
+def _optimal_vertex(design: Floats, observations: Floats, start: Floats) -> Ints:
     """Rows (k,) with zero residual at the optimal vertex, found by steepest-edge descent."""
-    met = _first_vertex(design, goal, near)
-    for _ in range(MAX_EDGES):
+    met = _first_vertex(design, observations, start)
+    for _ in range(MAX_DESCENT_EDGES):
         inverse = np.linalg.inv(design[met])
-        residual = goal - design @ (inverse @ goal[met])
+        residual = observations - design @ (inverse @ observations[met])
         residual[met] = 0.0
         pull = (np.sign(residual) @ design) @ inverse
         leaving = int(np.argmax(np.abs(pull)))
         slope = abs(float(pull[leaving])) - 1.0
-        if slope <= ROUNDING:
+        if slope <= ROUNDING_TOLERANCE:
             return met
         along = design @ (np.sign(pull[leaving]) * inverse[:, leaving])
         along[met] = 0.0
         met[leaving] = _entering_row(residual, along, slope)
-    raise NetworkError(f"least absolute deviations: no solution after {MAX_EDGES} steps; check the readings")
+    raise NetworkError(f"least absolute deviations: no solution after {MAX_DESCENT_EDGES} steps; check the readings")
 
 
-def _first_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:
+def _first_vertex(design: Floats, observations: Floats, start: Floats) -> Ints:
     """Independent rows (k,) with nearly zero residuals at a point near the optimum."""
-    residual, count = np.abs(goal - design @ near), design.shape[1]
+    residual, count = np.abs(observations - design @ start), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
     scaled = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
     pivots = scipy.linalg.qr(scaled.T, mode="r", pivoting=True)[1]
     return order[pivots[:count]]
 
 
-def _entering_row(residual: Floats, along: Floats, slope: float) -> int:
+def _entering_row(residual: Floats, direction_image: Floats, slope: float) -> int:
     """Row at which the sum of absolute residuals stops decreasing along an edge: a weighted median."""
-    ahead = np.flatnonzero(residual * along > 0.0)
-    order = ahead[np.argsort(residual[ahead] / along[ahead])]
-    risen = np.cumsum(2.0 * np.abs(along[order]))
+    ahead = np.flatnonzero(residual * direction_image > 0.0)
+    order = ahead[np.argsort(residual[ahead] / direction_image[ahead])]
+    risen = np.cumsum(2.0 * np.abs(direction_image[order]))
     return int(order[min(int(np.searchsorted(risen, slope)), len(order) - 1)])

@@ -20,10 +20,11 @@ MAX_SINGLE_BLOCK = 240
 """Size up to which a matrix is treated as one block, because ordering it would cost more than it saves."""
 MIN_BORDER_COUPLING = 0.6
 """Fraction of all other columns to which a column of the border is coupled at least."""
-MIN_BLOCK = 48
+MIN_BLOCK_SIZE = 48
+"""Smallest number of columns of a block."""
 
 
-def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
+def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     """Order (K,) of the columns, and the limits (b + 2,) of b blocks and of the border, which is last."""
     size = matrix.shape[0]
     whole = np.arange(size), np.array([0, size, size])
@@ -37,7 +38,7 @@ def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
     rows = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK)
+    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
     if 3 * width >= len(inner):
         return whole
     edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])
@@ -48,11 +49,13 @@ def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 class BlockWindow:
     """Inverse (w, w) over two neighbouring blocks and the border.
 
-    `place` (K,) is the position of each column in it, -1 for none.
+    `columns` (K,) is the position of each column in it, -1 for none.
     """
 
-    place: Ints
+    columns: Ints
+    """Columns (w,) of the matrix to which the inverse belongs."""
     inverse: Floats
+    """Part (w, w) of the inverse."""
 
 
 class BlockChain:
@@ -72,15 +75,15 @@ class BlockChain:
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
-        self._order, self._edges = arrange(matrix)
-        self.block_of = np.searchsorted(self._edges[1:-1], np.argsort(self._order), side="right")
-        ordered, inner = sp.csc_array(matrix[self._order][:, self._order]), self._edges[-2]
+        self._column_order, self._block_limits = arrange_as_chain(matrix)
+        self.block_of_column = np.searchsorted(self._block_limits[1:-1], np.argsort(self._column_order), side="right")
+        ordered, inner = sp.csc_array(matrix[self._column_order][:, self._column_order]), self._block_limits[-2]
         rest = ordered[inner:, inner:].toarray()
-        self._root: list[Floats] = []
-        self._next: list[Floats] = []
+        self._diagonal_factors: list[Floats] = []
+        self._off_diagonal_factors: list[Floats] = []
         carried = np.zeros_like(rest)
-        for i in range(len(self._edges) - 2):
-            low, high, far = self._span(i)
+        for i in range(len(self._block_limits) - 2):
+            low, high, far = self._block_span(i)
             mine, columns = high - low, ordered[:, low:high]
             panel = np.concatenate([columns[low:far].toarray(), columns[inner:].toarray()])
             if i:
@@ -90,87 +93,91 @@ class BlockChain:
             after = scipy.linalg.solve_triangular(root, panel[mine:].T, lower=True, check_finite=False).T
             carried = after @ after.T
             rest -= carried[far - high :, far - high :]
-            self._root.append(root)
-            self._next.append(after)
-        self._corner = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if len(rest) else rest
+            self._diagonal_factors.append(root)
+            self._off_diagonal_factors.append(after)
+        self._border_factor = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if len(rest) else rest
 
     @property
-    def count(self) -> int:
+    def n_blocks(self) -> int:
         """Number of blocks."""
-        return len(self._root)
+        return len(self._diagonal_factors)
 
     @property
     def smallest_pivot(self) -> float:
         """The smallest pivot."""
-        return float(min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._root, self._corner)))
+        return float(
+            min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._diagonal_factors, self._border_factor))
+        )
 
-    def solve(self, right: Floats) -> Floats:
+    def solve(self, right_hand_sides: Floats) -> Floats:
         """Solution (K, c) for right-hand sides (K, c)."""
-        x = right[self._order]
-        border = self._edges[-2]
-        for i, (root, after) in enumerate(zip(self._root, self._next, strict=True)):
-            low, high, far = self._span(i)
+        x = right_hand_sides[self._column_order]
+        border = self._block_limits[-2]
+        for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):
+            low, high, far = self._block_span(i)
             x[low:high] = scipy.linalg.solve_triangular(root, x[low:high], lower=True, check_finite=False)
             carried = after @ x[low:high]
             x[high:far] -= carried[: far - high]
             x[border:] -= carried[far - high :]
         if border < len(x):
-            x[border:] = scipy.linalg.cho_solve((self._corner, True), x[border:], check_finite=False)
-        for i in reversed(range(len(self._root))):
-            low, high, far = self._span(i)
+            x[border:] = scipy.linalg.cho_solve((self._border_factor, True), x[border:], check_finite=False)
+        for i in reversed(range(len(self._diagonal_factors))):
+            low, high, far = self._block_span(i)
             later = np.concatenate([x[high:far], x[border:]])
-            mine = x[low:high] - self._next[i].T @ later
-            x[low:high] = scipy.linalg.solve_triangular(self._root[i], mine, lower=True, trans=1, check_finite=False)
+            mine = x[low:high] - self._off_diagonal_factors[i].T @ later
+            x[low:high] = scipy.linalg.solve_triangular(
+                self._diagonal_factors[i], mine, lower=True, trans=1, check_finite=False
+            )
         solved = np.zeros_like(x)
-        solved[self._order] = x
+        solved[self._column_order] = x
         return solved
 
     def inverse(self) -> Floats:
         """Complete inverse (K, K)."""
-        if self.count == 1:
-            return self.windows[0].inverse
-        inverse = self.solve(np.eye(len(self._order)))
+        if self.n_blocks == 1:
+            return self.inverse_windows[0].inverse
+        inverse = self.solve(np.eye(len(self._column_order)))
         return 0.5 * (inverse + inverse.T)
 
     @cached_property
-    def windows(self) -> list[BlockWindow]:
+    def inverse_windows(self) -> list[BlockWindow]:
         """Parts of the inverse, each on a block, the next block and the border.
 
         References
         ----------
         Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), in blocks.
         """
-        border, size = self._edges[-2], len(self._order)
-        later = inverse_of(self._corner)
+        border, size = self._block_limits[-2], len(self._column_order)
+        later = inverse_from_cholesky(self._border_factor)
         windows = []
-        for i in reversed(range(len(self._root))):
-            low, high, far = self._span(i)
+        for i in reversed(range(len(self._diagonal_factors))):
+            low, high, far = self._block_span(i)
             width = high - low
             whole = np.zeros((width + len(later), width + len(later)))
-            whole[:width, :width] = inverse_of(self._root[i])
+            whole[:width, :width] = inverse_from_cholesky(self._diagonal_factors[i])
             if len(later):
                 reach = scipy.linalg.solve_triangular(
-                    self._root[i], self._next[i].T, lower=True, trans=1, check_finite=False
+                    self._diagonal_factors[i], self._off_diagonal_factors[i].T, lower=True, trans=1, check_finite=False
                 ).T
                 across = later @ reach
                 whole[width:, width:], whole[width:, :width], whole[:width, width:] = later, -across, -across.T
                 whole[:width, :width] += reach.T @ across
             place = np.full(size, -1)
-            place[np.concatenate([self._order[low:far], self._order[border:]])] = np.arange(len(whole))
+            place[np.concatenate([self._column_order[low:far], self._column_order[border:]])] = np.arange(len(whole))
             windows.append(BlockWindow(place, whole))
             stay = np.concatenate([np.arange(width), np.arange(width + far - high, len(whole))])
             later = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
-    def _span(self, i: int) -> tuple[int, int, int]:
+    def _block_span(self, i: int) -> tuple[int, int, int]:
         """Begin and end of a block, and the end of the next one."""
-        last = len(self._edges) - 2
-        return int(self._edges[i]), int(self._edges[i + 1]), int(self._edges[min(i + 2, last)])
+        last = len(self._block_limits) - 2
+        return int(self._block_limits[i]), int(self._block_limits[i + 1]), int(self._block_limits[min(i + 2, last)])
 
 
-def inverse_of(root: Floats) -> Floats:
+def inverse_from_cholesky(cholesky_factor: Floats) -> Floats:
     """Inverse of a matrix from its lower Cholesky factor."""
-    if not len(root):
-        return root
-    lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
+    if not len(cholesky_factor):
+        return cholesky_factor
+    lower, _ = scipy.linalg.lapack.dpotri(cholesky_factor, lower=1)
     return np.tril(lower) + np.tril(lower, -1).T

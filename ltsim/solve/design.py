@@ -15,15 +15,16 @@ from ltsim.core.arrays import Bools, Floats, Ints, median
 MAX_DENSE_ENTRIES = 600_000
 """Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
 
-PIECE = 30_000
+ROWS_PER_PIECE = 30_000
 """Rows of a sparse design that are worked on at a time: the work copies them."""
-ENTRIES = 1_000_000
+ENTRIES_PER_PIECE = 1_000_000
 """Entries of a sparse design that are worked on at a time."""
 
-Design: TypeAlias = Floats | sp.csr_array
+DesignMatrix: TypeAlias = Floats | sp.csr_array
+"""Design matrix: a dense array, or a sparse matrix in row format."""
 
 
-class Pattern:
+class SparsityPattern:
     """Sparsity pattern of a design matrix: positions of its entries, independent of their values.
 
     Parameters
@@ -41,65 +42,65 @@ class Pattern:
         small = np.int32 if pointers[-1] < 2**31 else np.int64
         indices = np.empty(int(pointers[-1]), dtype=small)
         np.concatenate([kind.ravel() for kind in columns], out=indices, casting="same_kind")
-        self._shape, self._entries = (len(widths), size), len(indices)
+        self._shape, self._n_entries = (len(widths), size), len(indices)
         self._is_dense = len(widths) * size <= MAX_DENSE_ENTRIES
         if self._is_dense:
-            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
+            self._flat_positions = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
         else:
-            self._indices, self._pointers = indices, pointers.astype(small)
+            self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
-    def filled(self, values: Iterable[Floats]) -> Design:
+    def fill(self, values: Iterable[Floats]) -> DesignMatrix:
         """Design (m, size) with these values, which have the shape of `columns`; each is copied in turn."""
-        entries, end = np.empty(self._entries), 0
+        entries, end = np.empty(self._n_entries), 0
         for kind in values:
             begin, end = end, end + kind.size
             entries[begin:end] = kind.ravel()
         if self._is_dense:
-            return np.bincount(self._places, entries, self._shape[0] * self._shape[1]).reshape(self._shape)
+            return np.bincount(self._flat_positions, entries, self._shape[0] * self._shape[1]).reshape(self._shape)
         nonzero = entries != 0.0  # what acts on one station or target is zero in most rows
-        before = np.zeros(len(entries) + 1, dtype=self._pointers.dtype)
+        before = np.zeros(len(entries) + 1, dtype=self._row_pointers.dtype)
         np.cumsum(nonzero, out=before[1:])
-        pointers = before[self._pointers]
-        return sp.csr_array((entries[nonzero], self._indices[nonzero], pointers), shape=self._shape)
+        pointers = before[self._row_pointers]
+        return sp.csr_array((entries[nonzero], self._column_indices[nonzero], pointers), shape=self._shape)
 
 
-def as_dense(design: Design) -> Floats:
+def to_dense(design: DesignMatrix) -> Floats:
     """Design, or some of its rows, as a dense array."""
     return design if isinstance(design, np.ndarray) else design.toarray()
 
 
-def column_scale(design: Design) -> Floats:
+def column_scale(design: DesignMatrix) -> Floats:
     """Reciprocal norm of each column; 1 for an empty column."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
         squares = np.zeros(design.shape[1])
-        for first in range(0, len(design.data), ENTRIES):
-            piece = slice(first, first + ENTRIES)
+        for first in range(0, len(design.data), ENTRIES_PER_PIECE):
+            piece = slice(first, first + ENTRIES_PER_PIECE)
             squares += np.bincount(design.indices[piece], design.data[piece] ** 2, design.shape[1])
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
-def scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
+def scale_columns(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
     """Rows with every column multiplied by its scale."""
     return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
-def pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
+def iterate_row_pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
     """Rows of a sparse design, some at a time, with every column times its scale."""
-    for first in range(0, design.shape[0], PIECE):
-        yield scaled(design[first : first + PIECE], scale)
+    for first in range(0, design.shape[0], ROWS_PER_PIECE):
+        yield scale_columns(design[first : first + ROWS_PER_PIECE], scale)
 
 
-def gram_of(parts: Iterable[sp.csr_array], size: int) -> sp.csr_array:
-    """Product A' A (size, size) of a sparse design of which `parts` are the rows."""
+def gram_matrix(row_pieces: Iterable[sp.csr_array], size: int) -> sp.csr_array:
+    """Product A' A (size, size) of a sparse design of which `row_pieces` are the rows."""
     total = sp.csr_array((size, size))
-    for part in parts:
+    for part in row_pieces:
         total = total + sp.csr_array(part.T @ part)
     return sp.csr_array(total)
 
 
-def weighted(design: Design, weight: Floats) -> Design:
+def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
     """A design with its rows times weights (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
@@ -108,7 +109,7 @@ def weighted(design: Design, weight: Floats) -> Design:
     return sp.csr_array((data, design.indices, design.indptr), design.shape)
 
 
-DOUBTFUL_PIVOT = 1e-8
+MIN_RELIABLE_PIVOT = 1e-8
 """Pivot of unit columns below which it may be a rounding error, so that the weakest direction is tested itself."""
 RANK_TOLERANCE = 1e-14
 """Squared length of the image of a unit vector under unit columns at or below which the direction is undetermined.
@@ -126,7 +127,7 @@ undetermined: its standard deviation is 100,000 times that of the others.
 """
 
 
-def unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:
+def scale_to_unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Symmetric matrices (..., k, k) divided by the column norms, and these scales (..., k).
 
     `size` (..., k) are squared norms.
@@ -143,7 +144,7 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
-        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL_PIVOT)
+        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > MIN_RELIABLE_PIVOT)
     except np.linalg.LinAlgError:
         roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
     if doubtful.any():
@@ -155,10 +156,10 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
     return roots, determined
 
 
-NORMAL_MEDIAN = 0.6744897501960817
+MEDIAN_ABSOLUTE_NORMAL = 0.6744897501960817
 """Median of |x| for a standard normal variable x."""
 
 
-def median_deviation(values: Floats) -> float:
+def robust_sigma(values: Floats) -> float:
     """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
-    return median(np.abs(values)) / NORMAL_MEDIAN if len(values) else 0.0
+    return median(np.abs(values)) / MEDIAN_ABSOLUTE_NORMAL if len(values) else 0.0

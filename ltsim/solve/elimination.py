@@ -23,16 +23,16 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.solve.chain import BlockChain, inverse_of
+from ltsim.solve.chain import BlockChain, inverse_from_cholesky
 from ltsim.solve.design import (
-    DOUBTFUL_PIVOT,
+    MIN_RELIABLE_PIVOT,
     RANK_TOLERANCE,
-    Design,
+    DesignMatrix,
     column_scale,
-    gram_of,
-    pieces,
-    scaled,
-    unit_diagonal,
+    gram_matrix,
+    iterate_row_pieces,
+    scale_columns,
+    scale_to_unit_diagonal,
 )
 from ltsim.solve.threads import single_threaded
 
@@ -43,24 +43,24 @@ class DenseElimination:
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
         self._design, self._n_reduced = design, n_reduced
         normal = design.T @ design
-        normal, self.scale = unit_diagonal(normal, np.diag(normal))
+        normal, self.column_scales = scale_to_unit_diagonal(normal, np.diag(normal))
         normal.flat[:: len(normal) + 1] += damping
-        self._root, failed = scipy.linalg.lapack.dpotrf(normal.T, lower=1)
+        self._cholesky_factor, failed = scipy.linalg.lapack.dpotrf(normal.T, lower=1)
         if failed:
             raise np.linalg.LinAlgError
 
     @property
     def smallest_pivot(self) -> float:
         """Smallest pivot of the blocks and of the Schur complement."""
-        return float(np.diag(self._root).min(initial=1.0) ** 2)
+        return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
-    def solve(self, right: Floats) -> Floats:
+    def solve(self, right_hand_sides: Floats) -> Floats:
         """Solution for right-hand sides (K + 3 E, c)."""
-        return scipy.linalg.lapack.dpotrs(self._root, right, lower=1)[0]
+        return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
     def _inverse(self) -> Floats:
-        return inverse_of(self._root)
+        return inverse_from_cholesky(self._cholesky_factor)
 
     @property
     def reduced_inverse(self) -> Floats:
@@ -74,15 +74,15 @@ class DenseElimination:
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
-        at = np.arange(self._n_reduced, len(self._root)).reshape(-1, 3)
-        rows = (self._design * self.scale).T
-        whitened = scipy.linalg.solve_triangular(self._root, rows, lower=True, check_finite=False)
+        at = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
+        rows = (self._design * self.column_scales).T
+        whitened = scipy.linalg.solve_triangular(self._cholesky_factor, rows, lower=True, check_finite=False)
         return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
-    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows."""
-        for low, high in pairwise(edges.tolist()):
-            group = rows[low:high].toarray() * self.scale
+        for low, high in pairwise(group_limits.tolist()):
+            group = rows[low:high].toarray() * self.column_scales
             yield group @ self.solve(group.T)
 
 
@@ -90,52 +90,56 @@ class SparseElimination:
     """Elimination with sparse matrices; the Schur complement is a chain of blocks if its structure permits."""
 
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
-        self.scale = column_scale(design)
+        self.column_scales = column_scale(design)
         self._design, self._n_reduced = design, n_reduced
-        normal = gram_of(pieces(design, self.scale), design.shape[1])
+        normal = gram_matrix(iterate_row_pieces(design, self.column_scales), design.shape[1])
         count = (normal.shape[0] - n_reduced) // 3
         blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], count) + damping * np.eye(3)
-        self._inverse, self._least = block_inverse(blocks)
+        self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
         across = normal[:n_reduced, n_reduced:]
-        self._carry = sp.csc_array(across @ _block_diagonal(self._inverse))
-        schur = normal[:n_reduced, :n_reduced] - self._carry @ across.T
+        self._elimination_coefficients = sp.csc_array(across @ _block_diagonal(self._block_inverses))
+        schur = normal[:n_reduced, :n_reduced] - self._elimination_coefficients @ across.T
         if damping:
             schur = schur + damping * sp.eye_array(n_reduced)
-        self._chain = BlockChain(sp.csr_array(schur))
+        self._schur_factor = BlockChain(sp.csr_array(schur))
 
     @property
     def smallest_pivot(self) -> float:
         """The smallest pivot of the blocks and of the Schur complement."""
-        return min(self._least, self._chain.smallest_pivot)
+        return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
-    def solve(self, right: Floats) -> Floats:
+    def solve(self, right_hand_sides: Floats) -> Floats:
         """Solution for right-hand sides (K + 3 E, c)."""
-        front, back = right[: self._n_reduced], right[self._n_reduced :]
-        reduced = self._chain.solve(front - self._carry @ back)
-        blocks = back.reshape(len(back) // 3, 3, right.shape[1])  # of no columns too
-        return np.concatenate([reduced, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ reduced])
+        front, back = right_hand_sides[: self._n_reduced], right_hand_sides[self._n_reduced :]
+        reduced = self._schur_factor.solve(front - self._elimination_coefficients @ back)
+        blocks = back.reshape(len(back) // 3, 3, right_hand_sides.shape[1])  # of no columns too
+        return np.concatenate(
+            [reduced, (self._block_inverses @ blocks).reshape(back.shape) - self._elimination_coefficients.T @ reduced]
+        )
 
     @cached_property
     def reduced_inverse(self) -> Floats:
         """Inverse (K, K) for the reduced unknowns."""
-        return self._chain.inverse()
+        return self._schur_factor.inverse()
 
     def inverse_of_sets(self, columns: Ints) -> Floats:
         """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
-        lowest = self._lowest(columns, axis=1)
+        lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
-            mine, window = np.flatnonzero(lowest == i), self._chain.windows[i]
-            places = window.place[columns[mine]]
+            mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_windows[i]
+            places = window.columns[columns[mine]]
             inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
             inverses[mine[np.any(places < 0, axis=1)]] = np.nan
         if np.isnan(inverses).any():
             return self.reduced_inverse[columns[:, :, None], columns[:, None, :]]
         return inverses
 
-    def _lowest(self, columns: Ints, axis: int) -> Ints:
+    def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
         """First block of the chain that each set of columns touches."""
-        return np.asarray(self._chain.block_of[columns].min(axis=axis, initial=self._chain.count - 1))
+        return np.asarray(
+            self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
+        )
 
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
@@ -144,41 +148,47 @@ class SparseElimination:
         Rows are grouped by the block that they touch, and rows without a block are processed singly, because all
         columns coupled by a block are in one window.
         """
-        blocks, leverage = self._inverse.copy(), np.zeros(self._design.shape[0])
-        order, edges, back = _by_block(self._design, self._n_reduced, len(blocks))
-        scale, carries = self.scale[self._n_reduced :].reshape(-1, 3), sp.csr_array(self._carry.T)
-        for g, mine, front in self._groups(order, edges):
+        blocks, leverage = self._block_inverses.copy(), np.zeros(self._design.shape[0])
+        order, edges, back = _rows_sorted_by_block(self._design, self._n_reduced, len(blocks))
+        scale, carries = (
+            self.column_scales[self._n_reduced :].reshape(-1, 3),
+            sp.csr_array(self._elimination_coefficients.T),
+        )
+        for g, mine, front in self._row_groups(order, edges):
             if g < len(blocks):
                 carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
                 behind = back[mine] * scale[g]
-                leverage[mine] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
-                reduced = dense_rows(front, 0, len(mine), columns)[0] * self.scale[columns] - behind @ carry
+                leverage[mine] = np.sum((behind @ self._block_inverses[g]) * behind, axis=1)
+                reduced = dense_rows(front, 0, len(mine), columns)[0] * self.column_scales[columns] - behind @ carry
             else:
                 carry, (reduced, columns) = None, dense_rows(front, 0, len(mine))
-                reduced = reduced * self.scale[columns]
-            window = self._chain.windows[int(self._lowest(columns, axis=0))]
-            at = window.place[columns]
+                reduced = reduced * self.column_scales[columns]
+            window = self._schur_factor.inverse_windows[int(self._first_chain_block(columns, axis=0))]
+            at = window.columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
             if carry is not None:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
-    def _groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
-        """Number of each group of rows, its rows, and these in the reduced columns; order and edges of `_by_block`."""
+    def _row_groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
+        """Number of each group of rows, its rows, and these in the reduced columns.
+
+        Order and edges of `_rows_sorted_by_block`.
+        """
         for g, (low, high) in enumerate(pairwise(edges.tolist())):
             yield g, order[low:high], sp.csr_array(self._design[order[low:high]][:, : self._n_reduced])
 
-    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""
-        rows = scaled(rows, self.scale)
+        rows = scale_columns(rows, self.column_scales)
         back = sp.csr_array(rows[:, self._n_reduced :])
-        reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._carry.T)
-        carried = sp.csr_array(back @ _block_diagonal(self._inverse))
-        if not len(edges) > 1:
+        reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
+        carried = sp.csr_array(back @ _block_diagonal(self._block_inverses))
+        if not len(group_limits) > 1:
             return
         inverse = self.reduced_inverse
-        for low, high in pairwise(edges.tolist()):
+        for low, high in pairwise(group_limits.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ inverse[columns[:, None], columns] @ front.T
             carry, columns = dense_rows(carried, low, high)
@@ -186,7 +196,7 @@ class SparseElimination:
             yield form
 
 
-def _by_block(design: sp.csr_array, n_reduced: int, count: int) -> tuple[Ints, Ints, Floats]:
+def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
     """Rows (m,) sorted by the block that they touch, limits of these groups, and rows (m, 3) on their block.
 
     Rows without a block are last.
@@ -195,10 +205,10 @@ def _by_block(design: sp.csr_array, n_reduced: int, count: int) -> tuple[Ints, I
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
     block[rows[behind]] = (design.indices[behind] - n_reduced) // 3
     alone = np.flatnonzero(block < 0)
-    block[alone] = count + np.arange(len(alone))
+    block[alone] = n_blocks + np.arange(len(alone))
     np.add.at(back, (rows[behind], (design.indices[behind] - n_reduced) % 3), design.data[behind])
     order = np.argsort(block, kind="stable")
-    return order, np.searchsorted(block[order], np.arange(count + len(alone) + 1)), back
+    return order, np.searchsorted(block[order], np.arange(n_blocks + len(alone) + 1)), back
 
 
 def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
@@ -227,10 +237,10 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
     return inverse, float(np.einsum("eii->ei", root).min() ** 2)
 
 
-def _diagonal_blocks(corner: sp.csr_array, count: int) -> Floats:
+def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
     """Diagonal 3 x 3 blocks (E, 3, 3); the matrix must not have other entries."""
-    entries = corner.tocoo()
-    blocks = np.zeros((count, 3, 3))
+    entries = matrix.tocoo()
+    blocks = np.zeros((n_blocks, 3, 3))
     np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
     return blocks
 
@@ -243,24 +253,27 @@ def _block_diagonal(blocks: Floats) -> sp.csr_array:
     return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))
 
 
-UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check the noise"
+UNDETERMINED_MESSAGE = (
+    "the observations leave some unknowns undetermined: let stations share more targets, check the noise"
+)
+"""Error message for a system with undetermined unknowns."""
 
 
 @dataclass(frozen=True)
 class BlockSystem:
     """Whitened linear least-squares problem: minimise |design @ step - residual|^2."""
 
-    design: Design
+    design: DesignMatrix
     """Design matrix (m, K + 3 E), reduced columns first."""
-    residual: Floats
+    whitened_residuals: Floats
     """Observed minus predicted values divided by sigma, (m,)."""
     n_reduced: int
     """Number K of unknowns that are not eliminated, the size of the Schur complement."""
 
     @property
-    def cost(self) -> float:
+    def sum_of_squares(self) -> float:
         """Sum of squared residuals."""
-        return float(self.residual @ self.residual)
+        return float(self.whitened_residuals @ self.whitened_residuals)
 
 
 class SingularSystemError(NetworkError):
@@ -289,32 +302,35 @@ class BlockFactor:
             else:
                 self._elimination = SparseElimination(design, system.n_reduced, damping)
         except np.linalg.LinAlgError as error:
-            raise SingularSystemError(UNDETERMINED) from error
-        self._scale = self._elimination.scale
-        if self._elimination.smallest_pivot < DOUBTFUL_PIVOT and damping + self._weakest() <= RANK_TOLERANCE:
-            raise SingularSystemError(UNDETERMINED)
+            raise SingularSystemError(UNDETERMINED_MESSAGE) from error
+        self._column_scales = self._elimination.column_scales
+        if (
+            self._elimination.smallest_pivot < MIN_RELIABLE_PIVOT
+            and damping + self._weakest_direction_length() <= RANK_TOLERANCE
+        ):
+            raise SingularSystemError(UNDETERMINED_MESSAGE)
 
     def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
         """Constructor and arguments for pickling: the system, which is smaller than its factor."""
         return BlockFactor, (self._system, self._damping)
 
-    def _weakest(self) -> float:
+    def _weakest_direction_length(self) -> float:
         """Squared length of the image of the weakest direction by inverse iteration, accurate for any length."""
-        vector = np.cos(np.arange(len(self._scale), dtype=np.float64))[:, None]
+        vector = np.cos(np.arange(len(self._column_scales), dtype=np.float64))[:, None]
         for _ in range(3):
             vector = self._elimination.solve(vector / np.linalg.norm(vector))
-        image = self._system.design @ (self._scale * vector[:, 0] / np.linalg.norm(vector))
+        image = self._system.design @ (self._column_scales * vector[:, 0] / np.linalg.norm(vector))
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
         """Damped Gauss-Newton step (K + 3 E,) for the residual of the system, or for another one (m,)."""
-        right = self._system.design.T @ (self._system.residual if residual is None else residual)
+        right = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.covariance_columns(right[:, None])[:, 0]
 
     @single_threaded
     def reduced_covariance(self) -> Floats:
         """Covariance (K, K) of the reduced unknowns."""
-        scale = self._scale[: self._system.n_reduced]
+        scale = self._column_scales[: self._system.n_reduced]
         return self._elimination.reduced_inverse * np.outer(scale, scale)
 
     @single_threaded
@@ -323,28 +339,28 @@ class BlockFactor:
 
         Efficient if each set is in one row of the design.
         """
-        scale = self._scale[columns]
+        scale = self._column_scales[columns]
         return self._elimination.inverse_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
-        scale = self._scale[self._system.n_reduced :].reshape(-1, 3)
+        scale = self._column_scales[self._system.n_reduced :].reshape(-1, 3)
         return self._elimination.blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def covariance_columns(self, rows: Floats) -> Floats:
         """Product (K + 3 E, c) of the covariance and the vectors `rows` (K + 3 E, c)."""
-        return self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
+        return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * rows)
 
     @property
     def smallest_pivot(self) -> float:
         """Smallest pivot for unit columns."""
         return self._elimination.smallest_pivot
 
-    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of groups of functions (q, K + 3 E); group i has the rows edges[i] to edges[i + 1]."""
-        return self._elimination.forms(rows, edges)
+        return self._elimination.covariances_of_functions(rows, group_limits)
 
     @single_threaded
     def leverage(self) -> Floats:

@@ -16,16 +16,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.solve.design import Design, as_dense, column_scale
+from ltsim.solve.design import DesignMatrix, column_scale, to_dense
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 MAX_BASIS_ENTRIES = 4_000_000
 """Number of entries below which a design gets an orthonormal basis, because dense products are much faster."""
-MAX_OVERLAP = 1e-10
+MAX_UNPROJECTED_OVERLAP = 1e-10
 """Largest inner product of projected unit vectors with unit columns of the design; above it they
 are projected again.
 """
-ZERO_EIGENVALUE = 1e-12
+MAX_ZERO_EIGENVALUE = 1e-12
 """Eigenvalue of a block of the hat matrix below which it counts as zero."""
 
 
@@ -34,38 +34,42 @@ class BasisProjection:
     """Projector from an orthonormal basis (m, u) of the design."""
 
     basis: Floats
+    """Orthonormal basis (m, u) of the design."""
 
     @classmethod
-    def of(cls, design: Design) -> BasisProjection:
+    def from_design(cls, design: DesignMatrix) -> BasisProjection:
         """Projector onto the residual space of a design."""
-        return cls(np.linalg.qr(as_dense(design) * column_scale(design))[0])
+        return cls(np.linalg.qr(to_dense(design) * column_scale(design))[0])
 
     def project(self, rows: Floats) -> Floats:
         """Residual part of vectors (m, q)."""
         return rows - self.basis @ (self.basis.T @ rows)
 
-    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+    def gram_matrices(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, which are `columns` (r, q) on some rows and zero on all others.
 
         Group i are the columns edges[i] to edges[i + 1].
         """
-        whole_grams, inside = _squares(columns, edges), _squares(self.basis[rows].T @ columns, edges)
+        whole_grams, inside = (
+            _group_gram_matrices(columns, edges),
+            _group_gram_matrices(self.basis[rows].T @ columns, edges),
+        )
         return [whole - lost for whole, lost in zip(whole_grams, inside, strict=True)]
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
-    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
+    def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows.
 
         Other eigenvalues are zero.
         """
-        for rows in groups:
+        for rows in row_groups:
             part = self.basis[rows]
-            yield _thin(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
+            yield _spectrum_of_thin_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
-    def extended(self, columns: Floats) -> BasisProjection:
+    def with_removed_columns(self, columns: Floats) -> BasisProjection:
         """Projector that also removes orthonormal columns (m, e) of the residual space."""
         return BasisProjection(np.hstack([self.basis, columns]))
 
@@ -75,14 +79,16 @@ class FactorProjection:
     """Projector from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
+    """Sparse design matrix."""
     factor: BlockFactor
-    added: Floats
+    """Factorised normal equations."""
+    added_columns: Floats
     """Additional columns that are removed, (m, e)."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
 
     @classmethod
-    def of(cls, design: Design, factor: BlockFactor) -> FactorProjection:
+    def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorProjection:
         """Projector onto the residual space of a design."""
         design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
@@ -91,74 +97,74 @@ class FactorProjection:
         """Residual part of vectors (m, q); projected again if the rounding of the factor is visible."""
         return self._residual_part(rows, slice(None))
 
-    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of projected vectors, as `BasisProjection.grams`."""
-        return _squares(self._residual_part(columns, rows), edges)
+    def gram_matrices(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+        """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`."""
+        return _group_gram_matrices(self._residual_part(columns, rows), edges)
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
         """Residual part (m, q) of vectors that are zero on all but some rows."""
-        inside = (self._transposed if len(columns) == len(self.added) else self.design[rows].T) @ columns
+        inside = (self._transposed if len(columns) == len(self.added_columns) else self.design[rows].T) @ columns
         residual: Floats = self.design @ -self.factor.covariance_columns(inside)
         residual[rows] += columns
         again = self._transposed @ residual
-        if np.any(np.abs(again) * self._scale[:, None] > MAX_OVERLAP * np.linalg.norm(columns, axis=0)):
+        if np.any(np.abs(again) * self._scale[:, None] > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)):
             residual -= self.design @ self.factor.covariance_columns(again)
-        if self.added.shape[1]:
-            residual -= self.added @ (self.added.T @ residual)
+        if self.added_columns.shape[1]:
+            residual -= self.added_columns @ (self.added_columns.T @ residual)
         return residual
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
-        return self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
+        return self.factor.leverage() + np.einsum("me,me->m", self.added_columns, self.added_columns)
 
-    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues and eigenvectors of the hat matrix on groups of rows, as `BasisProjection.spectra`."""
-        edges = np.cumsum([0, *(len(rows) for rows in groups)])
-        thick = edges[-1] == 0 or max(len(rows) for rows in groups) > self.design.shape[1] // 2
+    def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
+        """Eigenvalues and eigenvectors of the hat matrix on groups of rows, as `BasisProjection.hat_matrix_spectra`."""
+        edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
+        thick = edges[-1] == 0 or max(len(rows) for rows in row_groups) > self.design.shape[1] // 2
         if thick:
-            yield from (self._spectrum(rows) for rows in groups)
+            yield from (self._spectrum_from_covariance(rows) for rows in row_groups)
             return
-        hats = self.factor.forms(self.design[np.concatenate(groups)], edges)
-        for rows, hat in zip(groups, hats, strict=True):
-            yield np.linalg.eigh(hat + self.added[rows] @ self.added[rows].T)
+        hats = self.factor.covariances_of_functions(self.design[np.concatenate(row_groups)], edges)
+        for rows, hat in zip(row_groups, hats, strict=True):
+            yield np.linalg.eigh(hat + self.added_columns[rows] @ self.added_columns[rows].T)
 
-    def _spectrum(self, rows: Ints) -> tuple[Floats, Floats]:
+    def _spectrum_from_covariance(self, rows: Ints) -> tuple[Floats, Floats]:
         """Eigenvalues and eigenvectors on many rows, from the covariance of the unknowns in these rows."""
         part = self.design[rows]
         touched = np.unique(part.indices)
         whole = np.array([0, len(touched)])
         ends = np.arange(len(touched) + 1)
         units = sp.csr_array((1.0 / self._scale[touched], touched, ends), (len(touched), part.shape[1]))
-        covariance = next(self.factor.forms(units, whole))
+        covariance = next(self.factor.covariances_of_functions(units, whole))
         values, vectors = np.linalg.eigh(covariance)
         root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        root = np.hstack([root, self.added[rows]])
-        return _thin(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
+        root = np.hstack([root, self.added_columns[rows]])
+        return _spectrum_of_thin_root(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
-    def extended(self, columns: Floats) -> FactorProjection:
-        """Projector that also removes orthonormal columns (m, e), as `BasisProjection.extended`."""
-        return replace(self, added=np.hstack([self.added, columns]))
+    def with_removed_columns(self, columns: Floats) -> FactorProjection:
+        """Projector that also removes orthonormal columns (m, e), as `BasisProjection.with_removed_columns`."""
+        return replace(self, added_columns=np.hstack([self.added_columns, columns]))
 
 
 Projection: TypeAlias = BasisProjection | FactorProjection
 
 
-def projection_of(system: BlockSystem, factor: BlockFactor | None) -> Projection:
+def make_projection(system: BlockSystem, factor: BlockFactor | None) -> Projection:
     """Projector onto the residual space of a system: by a basis for a small system or without a factor."""
     rows, columns = system.design.shape
     if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
-        return BasisProjection.of(system.design)
-    return FactorProjection.of(system.design, factor)
+        return BasisProjection.from_design(system.design)
+    return FactorProjection.from_design(system.design, factor)
 
 
-def _squares(columns: Floats, edges: Ints) -> list[Floats]:
+def _group_gram_matrices(columns: Floats, edges: Ints) -> list[Floats]:
     """Gram matrices (k, k) of groups of columns."""
     parts = (columns[:, low:high] for low, high in pairwise(edges.tolist()))
     return [part.T @ part for part in parts]
 
 
-def _thin(root: Floats) -> tuple[Floats, Floats]:
+def _spectrum_of_thin_root(root: Floats) -> tuple[Floats, Floats]:
     """Non-zero eigenvalues of root root', and their vectors, for a root (f, k) with fewer columns than rows."""
     values, vectors = np.linalg.eigh(root.T @ root)
-    nonzero = values > ZERO_EIGENVALUE
+    nonzero = values > MAX_ZERO_EIGENVALUE
     return values[nonzero], root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

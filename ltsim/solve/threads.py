@@ -7,31 +7,33 @@ from typing import ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
-P = ParamSpec("P")
-R = TypeVar("R")
+DecoratedParameters = ParamSpec("DecoratedParameters")
+DecoratedReturn = TypeVar("DecoratedReturn")
 
 
-_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
+_IS_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
 
 
 @cache
-def _pools() -> ThreadpoolController:
+def _thread_pool_controller() -> ThreadpoolController:
     """Controller of the threads of linear-algebra libraries, created once, which takes milliseconds."""
     return ThreadpoolController()
 
 
-def single_threaded(function: Callable[P, R]) -> Callable[P, R]:
+def single_threaded(
+    function: Callable[DecoratedParameters, DecoratedReturn],
+) -> Callable[DecoratedParameters, DecoratedReturn]:
     """Decorator that limits the libraries' threads to one: faster for small matrices, and sums keep their order."""
 
     @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        if _LIMITED.get():
+    def limited(*args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs) -> DecoratedReturn:
+        if _IS_LIMITED.get():
             return function(*args, **kwargs)
-        token = _LIMITED.set(True)
+        token = _IS_LIMITED.set(True)
         try:
-            with _pools().limit(limits=1):
+            with _thread_pool_controller().limit(limits=1):
                 return function(*args, **kwargs)
         finally:
-            _LIMITED.reset(token)
+            _IS_LIMITED.reset(token)
 
     return limited

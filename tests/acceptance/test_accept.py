@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.acceptance.verbs import by_network
+from ltsim.acceptance.verbs import network_test_entries
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import NetworkError
@@ -169,10 +169,10 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
     short, long = [], []
     for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
-        own = by_network(recording, sheet)
-        ends = {target: truth.points[recording.targets.index(target)] for target in recording.targets}
+        own = network_test_entries(recording, sheet)
+        ends = {target: truth.target_points[recording.targets.index(target)] for target in recording.targets}
         adjusted = adjust(recording, declared_construction(recording))
-        placed = dict(zip(recording.targets, adjusted.state.points, strict=True))
+        placed = dict(zip(recording.targets, adjusted.state.target_points, strict=True))
         for found in own:
             if found.group != "lengths from S1":
                 continue
@@ -189,9 +189,9 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     found = adjust(recording, declared_construction(recording))
     design = np.asarray(found.solution.system.design)
     covariance = np.linalg.inv(design.T @ design)
-    points, at = found.state.points, found.problem.unknowns.target
+    points, at = found.state.target_points, found.problem.unknowns.target_columns
     sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
-    stated = {e.name: 1e-6 * e.expanded_um for e in by_network(recording, sheet)}
+    stated = {e.name: 1e-6 * e.expanded_um for e in network_test_entries(recording, sheet)}
     for a, b in ((0, 1), (0, 12), (5, 20)):
         along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
         form = np.zeros(len(covariance))

@@ -7,22 +7,24 @@ import pytest
 
 import ltsim as lt
 from ltsim.acceptance.prediction import AcceptancePlan
-from ltsim.acceptance.spec import asme, envelope, iso_two_face
+from ltsim.acceptance.spec import asme_tests, envelope_points, iso_two_face_tests
 from ltsim.core.arrays import Floats
-from ltsim.physics.model.construction import misalignment, steering_mirror
-from ltsim.recordings.specification import sheet
+from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
+from ltsim.recordings.specification import data_sheet
 
-SHEET = sheet("leica-at500")
+SHEET = data_sheet("leica-at500")
 URAD = MICROMETRE = 1e-6
 
 
 @pytest.fixture(scope="module")
 def plan() -> AcceptancePlan:
-    return AcceptancePlan(tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment(), SHEET, SHEET.instrument().noise)
+    return AcceptancePlan(
+        tuple(asme_tests(1.5, (2.0, 6.0, 30.0))), misalignment_construction(), SHEET, SHEET.to_instrument().noise
+    )
 
 
 def one(plan: AcceptancePlan, name: str, size: float) -> Floats:
-    values = np.zeros(plan.construction.size)
+    values = np.zeros(plan.construction.n_parameters)
     values[plan.construction.index(name)] = size
     return values
 
@@ -31,7 +33,7 @@ def test_count_of_the_standards(plan: AcceptancePlan) -> None:
     kinds = [t.kind for t in plan.tests]
     assert kinds.count("two-face") == 36
     assert sum(t.group != "line of sight" for t in plan.tests if t.kind == "length") == 33
-    assert len(iso_two_face(1.5)) == 18
+    assert len(iso_two_face_tests(1.5)) == 18
     assert len({t.name for t in plan.tests}) == len(plan.tests)
 
 
@@ -51,7 +53,7 @@ def test_count_of_the_standards(plan: AcceptancePlan) -> None:
 def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, per_unit) -> None:
     """As Muralikrishnan et al. (2009) give them: what flips with the face shows twice."""
     size = 10 * MICROMETRE
-    errors = plan.errors(one(plan, name, size))
+    errors = plan.test_errors(one(plan, name, size))
     for test, error in zip(plan.tests, errors, strict=True):
         if test.kind == "two-face":
             x, y, z = test.first
@@ -61,7 +63,10 @@ def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, 
 
 def test_length_sensitivities_in_closed_form(plan: AcceptancePlan) -> None:
     """A scale stretches every length; the zero of the ranges acts by the sum of the ends' cosines."""
-    scale, zero = plan.errors(one(plan, "range-scale", 1e-6)), plan.errors(one(plan, "range-offset", 10 * MICROMETRE))
+    scale, zero = (
+        plan.test_errors(one(plan, "range-scale", 1e-6)),
+        plan.test_errors(one(plan, "range-offset", 10 * MICROMETRE)),
+    )
     for test, stretched, moved in zip(plan.tests, scale, zero, strict=True):
         if test.kind == "length":
             first, second = np.array(test.first), np.array(test.second)
@@ -73,50 +78,50 @@ def test_length_sensitivities_in_closed_form(plan: AcceptancePlan) -> None:
 
 
 def test_limits(plan: AcceptancePlan) -> None:
-    limits = dict(zip((t.name for t in plan.tests), plan.limits / MICROMETRE, strict=True))
+    limits = dict(zip((t.name for t in plan.tests), plan.permissible_errors / MICROMETRE, strict=True))
     assert limits["two-face 6 m level 0 deg"] == pytest.approx(2 * (15 + 6 * 6))
     # the zero of the ranges cancels along one line of sight
     assert limits["line of sight 2 to 6 m"] == pytest.approx(np.hypot(10 + 0.3 * 2, 10 + 0.3 * 6))
 
 
 def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -> None:
-    stated = SHEET.instrument()
+    stated = SHEET.to_instrument()
     prior = np.array([p.sigma_from(stated.prior) for p in plan.construction.parameters])
     told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), trials=20_000, seed=3)
     rng = np.random.default_rng(11)
     passed = [
-        plan.within(
-            plan.errors(rng.standard_normal(len(prior)) * prior)
-            + rng.standard_normal((len(plan.tests), 2)) * plan.scatter
+        plan.is_within_limits(
+            plan.test_errors(rng.standard_normal(len(prior)) * prior)
+            + rng.standard_normal((len(plan.tests), 2)) * plan.error_sigmas
         ).all()
         for _ in range(600)
     ]
-    assert np.mean(passed) == pytest.approx(told.all_pass, abs=3 * np.sqrt(0.25 / 600))
-    assert 0 < told.all_pass < min(told.passes)
-    assert set(told.group_passes) == {t.group for t in plan.tests}
+    assert np.mean(passed) == pytest.approx(told.p_all_pass, abs=3 * np.sqrt(0.25 / 600))
+    assert 0 < told.p_all_pass < min(told.pass_probabilities)
+    assert set(told.p_group_passes) == {t.group for t in plan.tests}
 
 
 @pytest.mark.parametrize("design", ["source-in-head", "steering-mirror"])
 def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
-    built = steering_mirror() if design == "steering-mirror" else misalignment()
-    stated = SHEET.instrument(design)
-    plan = AcceptancePlan(tuple(iso_two_face(1.5)), built, SHEET, stated.noise)
+    built = steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
+    stated = SHEET.to_instrument(design)
+    plan = AcceptancePlan(tuple(iso_two_face_tests(1.5)), built, SHEET, stated.noise)
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
-    values, rms, largest = plan.worst_passing(prior, envelope())
-    assert plan.within(plan.errors(values)).all()
+    values, rms, largest = plan.worst_passing(prior, envelope_points())
+    assert plan.is_within_limits(plan.test_errors(values)).all()
     assert np.linalg.norm(values / prior) <= 3.001
     assert largest > rms > 10 * MICROMETRE
 
 
 def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
     """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
-    prior = np.array([p.sigma_from(SHEET.instrument().prior) for p in plan.construction.parameters])
-    worst, _, _ = plan.worst_passing(prior, envelope())
+    prior = np.array([p.sigma_from(SHEET.to_instrument().prior) for p in plan.construction.parameters])
+    worst, _, _ = plan.worst_passing(prior, envelope_points())
     quiet = {"distance_mm": 1e-4, "distance_ppm": 0.0, "azimuth_arcsec": 1e-3, "elevation_arcsec": 1e-3}
     sizes = []
     for factor in (0.0, 1.0):
         values = zip(plan.construction.parameters, factor * worst, strict=True)
-        errors = {"draw": False, **{p.name: float(v / p.factor) for p, v in values}}
+        errors = {"draw": False, **{p.name: float(v / p.si_per_display_unit) for p, v in values}}
         scenario = lt.scenario(
             "paper-workshop-re-aimed",
             {
@@ -127,10 +132,10 @@ def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
         )
         recording, truth = lt.simulate(scenario, seed=1)
         found = lt.adjust(recording)
-        places = dict(zip(found.targets, found.points, strict=True))
+        places = dict(zip(found.target_names, found.target_points, strict=True))
         told = np.array([places[name] for name in truth.target_names])
         gaps = np.linalg.norm(told[:, None] - told[None], axis=2) - np.linalg.norm(
-            truth.points[:, None] - truth.points[None], axis=2
+            truth.target_points[:, None] - truth.target_points[None], axis=2
         )
         sizes.append(float(np.sqrt(np.mean(gaps**2))))
     assert sizes[1] > 5 * MICROMETRE

@@ -28,7 +28,7 @@ def recording() -> Recording:
 
 def hall(recording: Recording, names: list[str], *, noise: float = 0.0) -> dict[str, np.ndarray]:
     """The network's targets in other axes."""
-    points = adjust(recording).state.points @ TURN.T + SHIFT
+    points = adjust(recording).state.target_points @ TURN.T + SHIFT
     spread = noise * np.sin(np.arange(3 * len(points))).reshape(-1, 3)
     return {name: points[recording.targets.index(name)] + spread[recording.targets.index(name)] for name in names}
 
@@ -42,17 +42,17 @@ def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
     goal = hall(recording, ["T01", "T06", "T12", "T20", "T25"])
     found = adjust(in_axes_of_points(recording, goal, "hall.csv"))
     for name, place in goal.items():
-        np.testing.assert_allclose(found.state.points[recording.targets.index(name)], place, atol=2e-9)
-    np.testing.assert_allclose(distances(found.state.points), distances(plain.state.points), atol=1e-9)
+        np.testing.assert_allclose(found.state.target_points[recording.targets.index(name)], place, atol=2e-9)
+    np.testing.assert_allclose(distances(found.state.target_points), distances(plain.state.target_points), atol=1e-9)
     np.testing.assert_allclose(found.chi2, plain.chi2, rtol=1e-7)
-    np.testing.assert_allclose(found.state.rotation, TURN @ plain.state.rotation, atol=1e-9)
+    np.testing.assert_allclose(found.state.station_rotations, TURN @ plain.state.station_rotations, atol=1e-9)
 
 
 def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
     """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
     named = in_axes_of_three(recording, "T01", "T04", "T20")
     for found in (lt.adjust(named), adjust(named)):
-        points = found.points if hasattr(found, "points") else found.state.points
+        points = found.target_points if hasattr(found, "target_points") else found.state.target_points
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
         np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
         assert b[0] > 0 < c[1]
@@ -69,7 +69,7 @@ def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording:
     assert fine.axes is not None
     for one, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
         assert np.array(one.axes.sigma_position_mm) == pytest.approx(noise / np.sqrt(2 * 12), rel=0.4)
-    lever = np.linalg.norm(np.ptp(rough.points[:12], axis=0)) / 2
+    lever = np.linalg.norm(np.ptp(rough.target_points[:12], axis=0)) / 2
     turn = 2.1 / np.sqrt(12) / (1e3 * lever) / ARCSECOND
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) > 0.5 * turn)
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) < 6 * turn)

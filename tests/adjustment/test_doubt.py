@@ -7,14 +7,14 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.quality import BENT, curvature, warnings_of
-from ltsim.adjustment.verdict import Agreement, verdict
+from ltsim.adjustment.quality import MAX_CURVATURE, adjustment_warnings, pose_curvatures
+from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Noise, Station, Target
 from tests.campaigns.workshop import workshop
@@ -40,9 +40,9 @@ def with_known(recording: Recording, points: np.ndarray) -> Recording:
 
 def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
-    assert warnings_of(found) == ()
-    assert verdict(found).case is Agreement.CLEAN
-    lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
+    assert adjustment_warnings(found) == ()
+    assert verdict_on(found).agreement is VerdictCase.CLEAN
+    lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ rotation_about_z(0.3).T + 5.0))
 
 
 @pytest.mark.long
@@ -63,7 +63,7 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
 )
 def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
     with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
-        lt.adjust(with_known(noisy(), change(workshop()[1].points[:8])))
+        lt.adjust(with_known(noisy(), change(workshop()[1].target_points[:8])))
 
 
 def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
@@ -71,8 +71,8 @@ def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right
     target = recording.target.copy()
     first, second = (np.flatnonzero((recording.station == 1) & (target == t))[0] for t in (3, 17))
     target[[first, second]] = target[[second, first]]
-    judged = verdict(adjust(recording.replace(target=target)))
-    assert judged.case is Agreement.IN_DOUBT
+    judged = verdict_on(adjust(recording.replace(target=target)))
+    assert judged.agreement is VerdictCase.IN_DOUBT
     names = f"{recording.targets[3]}, {recording.targets[17]}"
     assert judged.sentence.startswith(f"{names}: the positions from two stations differ")
 
@@ -81,8 +81,8 @@ def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
     recording = noisy()
     readings = recording.readings.copy()
     readings[recording.station == 3, 1] *= -1
-    judged = verdict(adjust(recording.with_readings(readings)))
-    assert judged.case is not Agreement.CLEAN
+    judged = verdict_on(adjust(recording.with_readings(readings)))
+    assert judged.agreement is not VerdictCase.CLEAN
     assert "station S4" in judged.sentence or "Station S4" in judged.sentence
 
 
@@ -93,15 +93,15 @@ def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
     target = recording.target.copy()
     target[own] = np.roll(target[own], 5)
     found = adjust(recording.replace(target=target), robust=True)
-    kept = found.problem.use[own].any()
+    kept = found.problem.used_readings[own].any()
     sigma = np.sqrt(np.einsum("sii->si", found.pose_covariance))
     assert np.isfinite(sigma[[0, 1, 3, 4]]).all()
     if kept:
-        assert verdict(found).sentence.startswith("Station S3 has")
+        assert verdict_on(found).sentence.startswith("Station S3 has")
     else:
         assert np.isnan(sigma[2]).all()
         assert found.undetermined_stations == ("S3",)
-        assert "do not determine the full pose of station S3" in verdict(found).sentence
+        assert "do not determine the full pose of station S3" in verdict_on(found).sentence
 
 
 def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() -> None:
@@ -113,11 +113,13 @@ def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() ->
 
 def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
     recording, state = workshop()
-    line = state.points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
-    points = state.points.copy()
+    line = state.target_points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points = state.target_points.copy()
     points[:10] = line
     local = np.einsum(
-        "nji,nj->ni", state.rotation[recording.station], points[recording.target] - state.position[recording.station]
+        "nji,nj->ni",
+        state.station_rotations[recording.station],
+        points[recording.target] - state.station_positions[recording.station],
     )
     readings = to_polar(local)
     readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
@@ -135,8 +137,8 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     assert copied.chi2 == pytest.approx(found.chi2)
     assert copied.dof == found.dof
     assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
-    assert warnings_of(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
-    assert not copied.rejected.any()
+    assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
+    assert not copied.is_rejected.any()
 
 
 def test_readings_that_repeat_by_chance_are_no_copies() -> None:
@@ -157,7 +159,7 @@ def test_two_targets_do_for_levelled_stations() -> None:
     setup = recording.setup.model_copy(update={"stations": levelled, "gauge": None})
     target = (recording.target[keep] == 3).astype(np.int64)
     found = adjust(recording.replace(**rows, target=target, targets=("A", "B"), setup=setup))
-    assert found.solution.converged
+    assert found.solution.has_converged
     assert np.isfinite(found.pose_covariance).all()
 
 
@@ -175,16 +177,16 @@ def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
         Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
 
 
-def on_a_line(off: float) -> tuple[Recording, State]:
+def on_a_line(off: float) -> tuple[Recording, NetworkState]:
     """The workshop whose last station sees ten targets only, `off` [m] a line."""
     recording, state = workshop()
-    points, use = state.points.copy(), (recording.station != 4) | (recording.target < 10)
+    points, use = state.target_points.copy(), (recording.station != 4) | (recording.target < 10)
     line = points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
     points[:10] = line + off * stream(1, "line").standard_normal((10, 3))
     rows = {n: getattr(recording, n)[use] for n in ("station", "target", "face", "repeat", "time", "readings")}
     recording = recording.replace(**rows)
-    where = State(state.position, state.rotation, points, np.zeros((1, 0)))
-    return recording.with_readings(MeasurementModel(recording, ideal()).predict(where)), where
+    where = NetworkState(state.station_positions, state.station_rotations, points, np.zeros((1, 0)))
+    return recording.with_readings(MeasurementModel(recording, ideal_construction()).predict(where)), where
 
 
 @pytest.mark.parametrize(("off", "bent"), [(3e-2, False), (1e-3, True)])
@@ -195,12 +197,14 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
     for _ in range(trials):
         noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
         found = adjust(recording.with_readings(recording.readings + noise), start=where)
-        gap = found.state.position[4] - where.position[4]
+        gap = found.state.station_positions[4] - where.station_positions[4]
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
-    assert (curvature(found)[4] > BENT) == bent
+    assert (pose_curvatures(found)[4] > MAX_CURVATURE) == bent
     assert (inside < 0.8 * trials) == bent
-    assert any("targets of station S5 hardly determine its pose" in doubt for doubt in warnings_of(found)) == bent
-    assert not curvature(found)[:4].any()
+    assert (
+        any("targets of station S5 hardly determine its pose" in doubt for doubt in adjustment_warnings(found)) == bent
+    )
+    assert not pose_curvatures(found)[:4].any()
 
 
 @pytest.mark.parametrize("stations", [2, 4])
@@ -217,11 +221,11 @@ def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
     recording, _ = network(seed=9)
     places = {n: Station(position_mm=tuple(1e3 * p)) for n, p in zip(recording.stations, STATIONS, strict=True)}
     planned = recording.replace(setup=recording.setup.model_copy(update={"stations": places}))
-    assert warnings_of(adjust(planned)) == ()
+    assert adjustment_warnings(adjust(planned)) == ()
     mirrored = planned.readings * [1.0, -1.0, 1.0]
-    (said,) = warnings_of(adjust(planned.with_readings(mirrored)))
+    (said,) = adjustment_warnings(adjust(planned.with_readings(mirrored)))
     assert "fit the mirror image of this network" in said
     elsewhere = {n: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, n in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
-    (said,) = warnings_of(adjust(lost))
+    (said,) = adjustment_warnings(adjust(lost))
     assert "miss the network by up to" in said

@@ -11,13 +11,13 @@ import pytest
 
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import reach_of
-from ltsim.adjustment.verdict import verdict
+from ltsim.adjustment.unmodelled import displacement_per_row
+from ltsim.adjustment.verdict import verdict_on
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
 from ltsim.measurands.inputs import observed_sources
-from ltsim.physics.laws.regressor_library import regressors_of
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.regressor_library import candidate_regressors
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read, write
 
 ANOTHER = '<direction to="B" val="153.5020"/>'
@@ -45,7 +45,10 @@ class Printed:
 
     def beside(self, found: Adjustment) -> tuple[np.ndarray, np.ndarray]:
         """Rows of our and their coordinate [m] and standard deviation by sigma0 [mm], as (k, 2) each."""
-        places, sigma = found.state.points, found.sigma0 * np.sqrt(found.target_covariance[:, range(3), range(3)])
+        places, sigma = (
+            found.state.target_points,
+            found.sigma0 * np.sqrt(found.target_covariance[:, range(3), range(3)]),
+        )
         ours, theirs = [], []
         for point in self.adjusted.split("; "):
             name, *words = point.split()
@@ -252,7 +255,7 @@ def test_a_wrong_difference_is_named_and_the_readings_stay(
     told = [test.sentence for test in found.rejected_references]
     assert len(told) == bool(name)
     assert all(name in sentence and "not its readings: excluded" in sentence for sentence in told)
-    assert not found.rejected.any()
+    assert not found.is_rejected.any()
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
 
 
@@ -269,8 +272,8 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     names = found.recording.targets
     lines = {"A": 10.0001, "B": 14.1995, "C": 4.0993, "E": 18.8993}
     for name, height in lines.items():
-        assert found.state.points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
-    assert [names[t] for t in np.flatnonzero(found.open_heights)] == ["D"]
+        assert found.state.target_points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
+    assert [names[t] for t in np.flatnonzero(found.undetermined_heights)] == ["D"]
     tested = {t.name: t.redundancy[0] for t in found.reference_tests if t.kind == "difference"}
     assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
@@ -283,9 +286,9 @@ def test_a_difference_wrong_by_far_goes_where_others_contradict_each_other(tmp_p
         assert old in inside
         inside = inside.replace(old, new)
     found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    assert [(test.name, test.excluded) for test in found.rejected_references] == [("A-B#2", True)]
+    assert [(test.name, test.is_excluded) for test in found.rejected_references] == [("A-B#2", True)]
     assert found.rejected_references[0].error[0] == pytest.approx(1500.0, abs=0.1)
-    assert np.abs(found.state.points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
+    assert np.abs(found.state.target_points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
 
 
 def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -> None:
@@ -300,7 +303,7 @@ def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -
     assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
     assert np.abs(ours - theirs)[:, 0].max() < PRINTED
     assert np.abs(ours - theirs)[:, 1].max() < 0.051
-    assert found.open_heights.all()
+    assert found.undetermined_heights.all()
     assert np.isnan(found.pose_covariance[:, 2, 2]).all()
     assert all(abs(test.error[2]) == 0.0 for test in found.reference_tests if test.kind == "mark")
 
@@ -315,7 +318,7 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     found = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
-    sources = observed_sources(found, reach_of(found, found.problem.unknowns.target.ravel()))
+    sources = observed_sources(found, displacement_per_row(found, found.problem.unknowns.target_columns.ravel()))
     assert "known differences" in {source.name for source in sources}
     spread = sum(source.covariance for source in sources)
     np.testing.assert_allclose(np.diag(spread), found.target_covariance[:, range(3), range(3)].ravel(), rtol=1e-6)
@@ -394,11 +397,13 @@ def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_pat
     whole, fewest = "A C E, Z E C, C E A, C Z E, E A C, E C Z", "A C E, Z E C, C E A, C Z E"
     for angles, dof in ((whole, 2), (fewest, 0)):
         near, found = adjusted(points + rough, angles), adjusted(points + unknown, angles)
-        assert near.solution.converged and found.solution.converged
+        assert near.solution.has_converged and found.solution.has_converged
         assert near.dof == found.dof == dof
         for name, (x, y) in places.items():
             for one in (near, found):
-                assert one.state.points[one.recording.targets.index(name), :2] == pytest.approx((x, -y), abs=2e-3)
+                assert one.state.target_points[one.recording.targets.index(name), :2] == pytest.approx(
+                    (x, -y), abs=2e-3
+                )
     with pytest.raises(NetworkError, match="or approximate coordinates of all"):
         adjusted(points + unknown, "A C E, Z E C, C E A")
 
@@ -411,7 +416,7 @@ def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> No
         ways = [complex(*places[end]) - complex(*places["P"]) for end in (back, on)]
         turned = -np.angle(ways[1] / ways[0]) * 200 / np.pi % 400
         inside += f'<obs from="P"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
-    judged = verdict(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
+    judged = verdict_on(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
     assert "miss the network" not in judged.sentence
     assert judged.sentence.startswith(("Trust the declared noise", "Noise and model agree"))
 
@@ -428,7 +433,9 @@ def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path:
 def test_what_is_constant_in_a_plan_drives_no_law(tmp_path: Path) -> None:
     """Elevations of a plan differ by 1e-31: a smooth function of them was a random one."""
     found = adjust(read(DIRECTIONS.write(tmp_path / "network.gkf")))
-    names = {name for drivers in regressors_of(found.sightings).values() for one in drivers for name in one.covariates}
+    names = {
+        name for drivers in candidate_regressors(found.sightings).values() for one in drivers for name in one.covariates
+    }
     assert {"azimuth", "distance"} <= names
     assert not {name for name in names if "elevation" in name or "height" in name}
 
@@ -437,8 +444,8 @@ def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There an offset of the transit axis is the range zero over again: the two together had no deviation at all."""
-    found = adjust(read(BACK.write(tmp_path / "network.gkf")), misalignment())
-    names = found.construction.names
+    found = adjust(read(BACK.write(tmp_path / "network.gkf")), misalignment_construction())
+    names = found.construction.parameter_names
     both = {names.index("transit-offset"): 2.0, names.index("range-offset"): 1.0}
     logs = {k: np.where(np.arange(len(names)) == k, size, -9.0) for k, size in both.items()}
     monkeypatch.setattr(instruments, "forward_select", lambda evidence, least: logs)
@@ -463,6 +470,6 @@ def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path
     recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
     found = adjust(recording, robust=True)
     assert not adjust(recording).rejected_references and not found.rejected_references
-    rows, columns = np.nonzero(found.rejected)
+    rows, columns = np.nonzero(found.is_rejected)
     assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
     assert set(columns.tolist()) == {1}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.quality import curvature
+from ltsim.adjustment.quality import pose_curvatures
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings import read
@@ -213,11 +213,11 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
     at = [(names.index(word[:-1]), "xyz".index(word[-1])) for word in network.unknown.split()]
     assert found.dof == dof
     assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
-    ours, sigma = found.state.points, np.sqrt(found.target_covariance[:, range(3), range(3)])
+    ours, sigma = found.state.target_points, np.sqrt(found.target_covariance[:, range(3), range(3)])
     assert np.abs([ours[i] for i in at] - x).max() < PRINTED / 5
     np.testing.assert_allclose([sigma[i] for i in at], spread, rtol=1e-3)
     told = {word[:-1] for word in network.unknown.split() if word[-1] == "z"}
-    open_ = {names[t] for t in np.flatnonzero(found.open_heights)}
+    open_ = {names[t] for t in np.flatnonzero(found.undetermined_heights)}
     fixed = {name for name, said in network.points.items() if "adj" not in said or 'fix="z"' in said}
     assert set(network.points) - fixed - open_ == told
 
@@ -229,13 +229,13 @@ def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds
     points = placed("A", 'fix="xy"') | dict.fromkeys("BCDEF", 'adj="xy"')
     network = Network(points, [*PLAN, *sights("distance", "AF")], "Bx By Cx Cy Dx Dy Ex Ey").measured(0)
     found = adjust(read(network.write(tmp_path / "network.gkf")))
-    assert found.solution.converged
+    assert found.solution.has_converged
     assert found.undetermined_targets == ("F",)
     assert found.dof == network.solve()[3] - 1
     spread = found.pose_covariance.copy()
     spread[1, :3, 3:], spread[1, 5, 5] = np.nan, 1.0
     monkeypatch.setattr(type(found), "pose_covariance", spread)
-    assert np.array_equal(np.isnan(curvature(found)), np.isnan(spread).any(axis=(1, 2)))
+    assert np.array_equal(np.isnan(pose_curvatures(found)), np.isnan(spread).any(axis=(1, 2)))
 
 
 def test_a_network_of_directions_alone_has_no_scale(tmp_path: Path) -> None:
@@ -263,4 +263,4 @@ def test_a_far_point_is_fixed_by_angles_alone(tmp_path: Path, monkeypatch: pytes
     assert not found.undetermined_targets
     assert found.dof == dof == 2
     assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
-    assert np.abs(found.state.points[found.recording.targets.index("E"), :2] - x).max() < PRINTED
+    assert np.abs(found.state.target_points[found.recording.targets.index("E"), :2] - x).max() < PRINTED

@@ -7,8 +7,8 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.blunders import correct_faces, correct_units
-from ltsim.adjustment.identification import identified, outcomes
-from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.identification import cause_tests, identify_causes
+from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
 from tests.networks import network
@@ -19,7 +19,7 @@ SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
 def written(recording: Recording, rows: np.ndarray, slip: TranscriptionError) -> Recording:
     """The recording with some rows written down in another unit."""
     readings = recording.readings.copy()
-    readings[rows] = slip.written(readings[rows])
+    readings[rows] = slip.with_error(readings[rows])
     return recording.with_readings(readings)
 
 
@@ -69,16 +69,16 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     target, readings = recording.target.copy(), recording.readings.copy()
     target[[first, second]] = target[[second, first]]
     unit, off = row_of(recording, s[1], "T07"), row_of(recording, s[3], "T20")
-    readings[unit] = SLIPS["gon"].written(readings[[unit]])[0]
+    readings[unit] = SLIPS["gon"].with_error(readings[[unit]])[0]
     readings[off, 0] += 12e-3
     found = adjust(recording.replace(target=target, readings=readings))
-    (doubt,) = warnings_of(found)
+    (doubt,) = adjustment_warnings(found)
     assert "the reflectors T03 and T14" in doubt
     assert "gon for degrees" in doubt
     assert "T20" not in doubt  # an outlier alone is no mistake that anybody can name
-    selection = identified(recording.replace(target=target, readings=readings))
+    selection = identify_causes(recording.replace(target=target, readings=readings))
     assert selection is not None
-    tests = {test.kind: test for test in outcomes(selection)}
+    tests = {test.kind: test for test in cause_tests(selection)}
     assert sorted(tests) == ["names", "outlier", "unit"]
     assert sorted(tests["names"].rows) == sorted([first + 1, second + 1])
     assert tests["names"].where.targets == ("T03", "T14")
@@ -87,13 +87,13 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     np.testing.assert_allclose(selection.fit.recording.readings[unit], recording.readings[unit], rtol=0, atol=1e-12)
     assert (tests["outlier"].rows, tests["outlier"].acts_on) == ((off + 1,), "distance")
     assert tests["outlier"].estimate == pytest.approx(12.0, abs=0.2)
-    assert np.argwhere(selection.fit.outliers).tolist() == [[off, 0]]
+    assert np.argwhere(selection.fit.is_outlier).tolist() == [[off, 0]]
 
 
 def test_a_recording_without_gross_errors_stays_as_it_is() -> None:
     recording = network(seed=5)[0]
-    selection = identified(recording)
+    selection = identify_causes(recording)
     assert selection is not None
-    assert selection.choices == ()
+    assert selection.selected_hypotheses == ()
     np.testing.assert_array_equal(selection.fit.recording.readings, recording.readings)
-    assert not selection.fit.outliers.any()
+    assert not selection.fit.is_outlier.any()

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.core.units import EARTH
+from ltsim.core.units import EARTH_RADIUS
 from ltsim.physics.model.measurement import with_plumb_lines
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
@@ -22,7 +22,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
     told = {"stations": stations, "heads_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
-    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).by_target
+    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).target_derivatives
     readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)
     labels = {"target_setup": tuple(recording.stations[s] for s in recording.station)}
     setup = recording.setup.model_copy(update=told)
@@ -38,7 +38,7 @@ def test_heights_that_differ_by_set_up_are_estimated_and_the_network_agrees() ->
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
     pairs = list(dict.fromkeys(zip(recording.target.tolist(), recording.station.tolist(), strict=True)))
     value = np.zeros(higher.shape)
-    for (target, station), height in zip(pairs, found.state.extra, strict=True):
+    for (target, station), height in zip(pairs, found.state.extra_parameters, strict=True):
         value[station, target] = height
     gap = value - higher  # what all heights of a mark share is its coordinate, what those of a station do is its own
     gap = gap - gap.mean(axis=0) - gap.mean(axis=1, keepdims=True) + gap.mean()
@@ -58,5 +58,5 @@ def test_plumb_lines_lean_outwards_on_a_sphere() -> None:
     curved = recording.replace(setup=recording.setup.model_copy(update={"curved": True}))
     place = np.array([[-300.0, 0.0, 1.0], [300.0, 0.0, 2.0], [0.0, 200.0, 0.0], [0.0, -200.0, 0.0]])
     leaning = [with_plumb_lines(curved, place).station_setup(name).vertical for name in recording.stations]
-    np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH, place[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH_RADIUS, place[:, :2], atol=1e-6)
     assert with_plumb_lines(recording, place) is recording

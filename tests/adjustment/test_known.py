@@ -9,13 +9,13 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import in_axes_of_points, with_control
-from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.axes import in_axes_of_points, with_control_points
+from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.alignment import align_rigidly
+from ltsim.geometry.polar import wrap_angle
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
@@ -60,12 +60,12 @@ def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robus
         recording = controlled(10 + i, {name: size}, stations=3)
         found, sound = adjust(recording, robust=robust), adjust(without_point(recording, name), robust=robust)
         (wrong,) = found.rejected_references
-        assert (wrong.kind, wrong.name, wrong.excluded) == ("point", name, True)
+        assert (wrong.kind, wrong.name, wrong.is_excluded) == ("point", name, True)
         assert float(np.linalg.norm(wrong.error)) == pytest.approx(1e-3 * size, abs=0.1e-3)
-        assert found.rejected.sum() == sound.rejected.sum()
-        miss, least = (np.sqrt(np.mean((x.state.points - mesh()) ** 2)) for x in (found, sound))
+        assert found.is_rejected.sum() == sound.is_rejected.sum()
+        miss, least = (np.sqrt(np.mean((x.state.target_points - mesh()) ** 2)) for x in (found, sound))
         assert miss < 1.2 * least
-        assert f"the known coordinates of {name} are off by" in warnings_of(found)[0]
+        assert f"the known coordinates of {name} are off by" in adjustment_warnings(found)[0]
 
 
 def test_two_wrong_control_points_and_a_bad_reading() -> None:
@@ -74,7 +74,7 @@ def test_two_wrong_control_points_and_a_bad_reading() -> None:
     readings[17, 0] += 0.2e-3
     found = adjust(recording.with_readings(readings), robust=True)
     assert sorted(test.name for test in found.rejected_references) == ["T06", "T20"]
-    assert np.argwhere(found.rejected).tolist() == [[17, 0]]
+    assert np.argwhere(found.is_rejected).tolist() == [[17, 0]]
 
 
 def test_sound_networks_keep_every_known_value() -> None:
@@ -93,7 +93,7 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
         recording = network(seed=seed, stations=3)[0]
         noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
-        blamed += any(test.excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axis_tests)
+        blamed += any(test.is_excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axis_tests)
     assert blamed <= 5
 
 
@@ -120,7 +120,7 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     assert (found.reference_values[0].kind, found.reference_values[0].excluded) == ("scale", True)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)  # the readings do not pay
     unscaled = right.replace(setup=right.setup.model_copy(update={"gauge": None}))
-    np.testing.assert_allclose(found.points, lt.adjust(unscaled).points, atol=5e-6)
+    np.testing.assert_allclose(found.target_points, lt.adjust(unscaled).target_points, atol=5e-6)
     assert found.reference_values[0].error == pytest.approx(23.2 * degrees, abs=15.0)
     assert found.verdict is not None
     assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
@@ -137,7 +137,7 @@ def test_a_calibration_does_not_follow_lengths_so_far_off_that_no_scale_of_an_in
     found = lt.calibrate(recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))
     assert (found.reference_values[0].kind, found.reference_values[0].excluded) == ("scale", True)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
-    scale = found.parameters[found.names.index("range-scale")]
+    scale = found.parameters[found.instrument_parameter_names.index("range-scale")]
     assert abs(scale.value) < 3.0 * scale.prior_sigma
     assert not found.outliers
 
@@ -155,13 +155,15 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
         z = 1e3 * float(mesh()[recording.targets.index(name), 2]) + (1020.0 if name == "T16" else 0.0)
         heights[name] = Target(known_mm=(0.0, 0.0, z), known_axes="z", known_sigma_mm=0.05)
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
-    assert [(test.kind, test.name, test.axes) for test in found.rejected_references] == [("point", "T16", "z")]
+    assert [(test.kind, test.name, test.declared_components) for test in found.rejected_references] == [
+        ("point", "T16", "z")
+    ]
     assert found.rejected_references[0].error[0] == pytest.approx(1.02, abs=1e-3)
 
 
 def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None:
     recording, _ = network(seed=6, faces=2)
-    ahead = adjust(recording).state.rotation[:, :, 0]
+    ahead = adjust(recording).state.station_rotations[:, :, 0]
     yaws = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])) + 100.0
 
     def oriented(off_arcsec: float) -> Recording:
@@ -173,9 +175,9 @@ def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None
 
     sound, wrong = adjust(oriented(0.0)), adjust(oriented(60.0))
     assert sound.rejected_references == ()
-    assert sound.problem.free.shape[1] == 3
-    turned = sound.state.rotation[:, :, 0]
-    assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
+    assert sound.problem.free_motions.shape[1] == 3
+    turned = sound.state.station_rotations[:, :, 0]
+    assert np.abs(wrap_angle(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
     assert [(test.kind, test.name) for test in wrong.rejected_references] == [("yaw", "S3")]
     assert 3600 * np.degrees(wrong.rejected_references[0].error[0]) == pytest.approx(60.0, abs=6.0)
     assert "the azimuth zero of S3 is off by" in wrong.rejected_references[0].sentence
@@ -188,8 +190,8 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     found = adjust(recording)
     (test,) = found.rejected_references
     assert {test.name, *test.indistinguishable_from} == {"T01", "T06"}
-    assert not test.excluded
-    assert "do not show which one is wrong" in warnings_of(found)[0]
+    assert not test.is_excluded
+    assert "do not show which one is wrong" in adjustment_warnings(found)[0]
 
 
 def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:
@@ -209,11 +211,11 @@ def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> Non
     recording, truth = network(seed=2, faces=2)
     found = adjust(with_two_lengths(recording, wrong, -wrong))
     (test,) = found.rejected_references
-    assert (test.kind, test.excluded, len(test.indistinguishable_from)) == ("length", False, 1)
+    assert (test.kind, test.is_excluded, len(test.indistinguishable_from)) == ("length", False, 1)
     told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
     assert [finding.carrier for finding in told.findings] == ["reference length"] * 2
-    rotation, shift = align(told.targets.points, truth.state.points)
-    off = told.targets.points @ rotation.T + shift - truth.state.points
+    rotation, shift = align_rigidly(told.targets.points, truth.state.target_points)
+    off = told.targets.points @ rotation.T + shift - truth.state.target_points
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 20e-6
 
 
@@ -224,7 +226,7 @@ def test_two_lengths_that_are_right_contradict_nothing() -> None:
 
 
 def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
-    found = calibrate_network(controlled(5, {"T12": 1.0}, faces=2), advise=False)
+    found = calibrate_network(controlled(5, {"T12": 1.0}, faces=2), recommend_measurements=False)
     content = found.content()
     entries = [e for e in content["reference_values"] if e["name"] == "T12"]
     assert [e["component"] for e in entries] == ["x", "y", "z"]
@@ -243,10 +245,10 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
         points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
         found = adjust(in_axes_of_points(recording, points, "hall.csv"))
-        assert [test.name for test in found.axis_tests if test.excluded] == [name]
+        assert [test.name for test in found.axis_tests if test.is_excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
-        np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
+        np.testing.assert_allclose(found.state.target_points, sound.state.target_points, atol=1e-8)
 
 
 def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
@@ -263,13 +265,13 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     lines.append("T02,,,5900,1,1,0.05")
     file = tmp_path / "control.csv"
     file.write_text("\n".join(lines))
-    found = adjust(with_control(recording, file))
+    found = adjust(with_control_points(recording, file))
     assert [test.name for test in found.rejected_references] == ["T20"]
-    assert {test.name: test.axes for test in found.reference_tests}["T02"] == "z"
-    assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
+    assert {test.name: test.declared_components for test in found.reference_tests}["T02"] == "z"
+    assert "frame of the control points" in lt.adjust(with_control_points(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
     with pytest.raises(RecordError, match="has no standard deviation of T01"):
-        with_control(recording, file)
+        with_control_points(recording, file)
     file.write_text("target,x_mm,y_mm,z_mm,sigma_mm\nX01,1,2,3,0.1\n")
     with pytest.raises(RecordError, match="none of the recording's targets"):
-        with_control(recording, file)
+        with_control_points(recording, file)

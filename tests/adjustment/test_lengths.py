@@ -13,13 +13,13 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.errors import LtsimError, RecordError
-from ltsim.geometry.expansion import Expansion
+from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.evaluation import evaluate_tasks
-from ltsim.measurands.spec import FORMAT, tasks_from
+from ltsim.measurands.spec import TASKS_FORMAT, validate_tasks
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 from tests.networks import network
 
 STEEL = {"expansion_per_k": 11.5e-6, "sigma_expansion_per_k": 1e-6}
@@ -51,77 +51,77 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         sigma_temperature_k=0.5,
         expansion_per_k=23e-6,
     )
-    known = ReferenceLengths.of(recording)
-    np.testing.assert_allclose(known.factor - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
-    np.testing.assert_allclose(known.length, 2.0 * known.factor, rtol=1e-15)
+    known = ReferenceLengths.from_recording(recording)
+    np.testing.assert_allclose(known.growth_factors - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
+    np.testing.assert_allclose(known.lengths, 2.0 * known.growth_factors, rtol=1e-15)
     expected = {
         "expansion of steel": [14e-6, 6e-6, 0, 0],
         "temperature of T01-T02": [2.3e-6, 0, 0, 0],
         "temperature of the gauge": [0, 11.5e-6, 1.2e-6, 0],
         "expansion of invar": [0, 0, 1.8e-6, 0],
     }
-    assert set(known.shared) == set(expected)
+    assert set(known.shared_error_changes) == set(expected)
     for name, change in expected.items():
-        np.testing.assert_allclose(known.shared[name], change, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(known.shared_error_changes[name], change, atol=1e-12, err_msg=name)
 
 
 def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: Recording) -> None:
     warm = np.where(np.isin(measured.target, [0, 1]), 25.0 + measured.station, np.nan)
     recording = measured.replace(covariates={**measured.covariates, "bar_c": warm})
     stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
-    assert ReferenceLengths.of(stated).factor[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
+    assert ReferenceLengths.from_recording(stated).growth_factors[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
     for wrong, said in (
         (line("T01", "T02", measured_at_c="bar_k"), "not a column of numbers"),
         (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
         (line("T01", "T02", material="brass"), "expected one of steel, invar"),
     ):
         with pytest.raises(RecordError, match=said):
-            ReferenceLengths.of(with_gauge(recording, wrong))
+            ReferenceLengths.from_recording(with_gauge(recording, wrong))
 
 
 def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording) -> None:
     lines = [line(f"T0{i}", f"T0{i + 1}", 1000.0 * i, material="steel") for i in (1, 3, 5)]
     recording = with_gauge(measured, *lines, measured_at_c=30.0, sigma_temperature_k=0.2)
-    gauge = GaugeRows.of(recording)
+    gauge = GaugeRows.from_recording(recording)
     length = np.array([1.0, 3.0, 5.0])
     shared = (10 * 1e-6) ** 2 + (11.5e-6 * 0.2) ** 2
     covariance = shared * np.outer(length, length) + 1e-6**2 * np.eye(3)
-    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
-    white = gauge.whitened(np.eye(3))
+    np.testing.assert_allclose(gauge.decorrelated_to_lengths @ gauge.decorrelated_to_lengths.T, covariance, rtol=1e-12)
+    white = gauge.decorrelate(np.eye(3))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
-    idle = replace(gauge, idle=np.array([False, True, False]))
+    idle = replace(gauge, is_unweighted=np.array([False, True, False]))
     kept = np.ix_([0, 2], [0, 2])
-    left = idle.whitened(np.eye(3))
+    left = idle.decorrelate(np.eye(3))
     np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)
     assert not left[:, 1].any()
     found = adjust(recording)
-    rows = as_dense(found.solution.system.design)[int(found.problem.use.sum()) :][:3]
-    columns = found.problem.unknowns.target[gauge.first]
-    along = gauge.directions(found.state.points)
+    rows = to_dense(found.solution.system.design)[int(found.problem.used_readings.sum()) :][:3]
+    columns = found.problem.unknowns.target_columns[gauge.first_targets]
+    along = gauge.unit_vectors(found.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
 def test_lengths_share_a_scale_or_tell_none(measured: Recording) -> None:
     lines = [line("T01", "T02", 2000.0), line("T03", "T04", 1000.0, measured_in_place=True)]
-    gauge = GaugeRows.of(with_gauge(measured, *lines, sigma_scale_ppm=20.0))
+    gauge = GaugeRows.from_recording(with_gauge(measured, *lines, sigma_scale_ppm=20.0))
     covariance = 1e-6**2 * np.eye(2) + np.outer([40e-6, 20e-6], [40e-6, 20e-6])
-    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
+    np.testing.assert_allclose(gauge.decorrelated_to_lengths @ gauge.decorrelated_to_lengths.T, covariance, rtol=1e-12)
     dof = {scale: adjust(with_gauge(measured, *lines, sigma_scale_ppm=scale)).dof for scale in (None, 20.0, 1000.0)}
     assert dof == {None: dof[None], 20.0: dof[None], 1000.0: dof[None] - 1}  # of two lengths one ratio is left
 
 
 def test_a_length_measured_in_place_is_an_observation_with_its_sigma(measured: Recording) -> None:
     """An interferometer's length and a known one are the same row, in a workshop of any temperature."""
-    points = adjust(measured).state.points
+    points = adjust(measured).state.target_points
     ends = {"first": "T01", "second": "T08"}
     length = 1e3 * float(np.linalg.norm(points[0] - points[7]))
     plain = with_gauge(measured, line(*ends.values(), length))
     warm = with_gauge(measured, line(*ends.values(), length, measured_in_place=True), measured_at_c=35.0, **STEEL)
     one, other = adjust(plain), adjust(warm)
     assert one.dof == other.dof == adjust(with_gauge(measured)).dof + 1
-    np.testing.assert_allclose(other.state.points, one.state.points, atol=1e-12)
+    np.testing.assert_allclose(other.state.target_points, one.state.target_points, atol=1e-12)
     tied = adjust(with_gauge(measured, line(*ends.values(), length + 0.02, measured_in_place=True)))
-    gap = 1e3 * float(np.linalg.norm(tied.state.points[0] - tied.state.points[7])) - length
+    gap = 1e3 * float(np.linalg.norm(tied.state.target_points[0] - tied.state.target_points[7])) - length
     assert 0.016 < gap < 0.02  # held to 1 um, against readings of some 10 um
 
 
@@ -142,10 +142,10 @@ def test_simulated_certificates_err_as_they_say_and_together() -> None:
     gaps, spread = [], np.zeros((0, 0))
     for seed in range(250):
         recording, truth = lt.simulate(scene(**{"work.repeats": 1}), seed=seed)
-        gauge = GaugeRows.of(recording)
-        places = truth.points[[truth.target_names.index(name) for name in recording.targets]]
-        gaps.append(gauge.whitened(gauge.length - gauge.predict(places)))
-        spread = gauge.spread
+        gauge = GaugeRows.from_recording(recording)
+        places = truth.target_points[[truth.target_names.index(name) for name in recording.targets]]
+        gaps.append(gauge.decorrelate(gauge.lengths - gauge.predict(places)))
+        spread = gauge.decorrelated_to_lengths
     both = np.array(gaps)
     np.testing.assert_allclose(np.corrcoef(both.T), np.eye(4), atol=0.2)
     np.testing.assert_allclose(both.std(axis=0), 1.0, atol=0.15)
@@ -158,21 +158,21 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     lt.write(recording, tmp_path / "rec")
     assert lt.read(tmp_path / "rec").setup == recording.setup
     task = {"name": "far", "kind": "distance", "targets": ["T01", "T20"]}
-    tables = {"format": FORMAT, "source": "", "task": [task], "monte_carlo": {"most_trials": 10_000}}
-    found = evaluate_tasks(recording, tasks_from(tables, "tasks"))
-    shares = found.linear.shares
+    tables = {"format": TASKS_FORMAT, "source": "", "task": [task], "monte_carlo": {"most_trials": 10_000}}
+    found = evaluate_tasks(recording, validate_tasks(tables, "tasks"))
+    shares = found.linear.variance_by_source
     assert {"known lengths", "expansion of steel", "expansion of invar", "temperature of the gauge"} <= set(shares)
-    assert found.linear.kinds["expansion of steel"] == "B"
+    assert found.linear.evaluation_types["expansion of steel"] == "B"
     total = sum(share[0] for share in shares.values())
     assert total == pytest.approx(found.linear.covariance[0, 0], rel=1e-9)
     adjusted = found.inputs.origin
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
-    arm = adjusted.state.points[names[0]] - adjusted.state.points[names[1]]
+    arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)
-    at = adjusted.problem.unknowns.target[names].ravel()
-    pick = np.zeros((adjusted.problem.unknowns.size, 6))
+    at = adjusted.problem.unknowns.target_columns[names].ravel()
+    pick = np.zeros((adjusted.problem.unknowns.n_columns, 6))
     pick[at, np.arange(6)] = 1.0
-    whole = unit @ adjusted.factor.covariance_columns(pick)[at] @ unit
+    whole = unit @ adjusted.factorised_normals.covariance_columns(pick)[at] @ unit
     assert total == pytest.approx(whole, rel=1e-6)
 
 
@@ -187,6 +187,6 @@ def test_what_cannot_be_is_said_in_a_sentence() -> None:
 
 
 def test_expansion_by_hand() -> None:
-    grown = Expansion.of(11.5e-6, -5.0, 1e-6, 0.1)
-    assert grown.factor == pytest.approx(1 - 57.5e-6)
-    assert (grown.by_coefficient, grown.by_temperature) == pytest.approx((-5e-6, 1.15e-6))
+    grown = ThermalExpansion.from_temperature(11.5e-6, -5.0, 1e-6, 0.1)
+    assert grown.length_ratio == pytest.approx(1 - 57.5e-6)
+    assert (grown.change_by_coefficient, grown.change_by_temperature) == pytest.approx((-5e-6, 1.15e-6))

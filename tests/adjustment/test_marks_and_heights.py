@@ -8,11 +8,11 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
 from tests.families import family
@@ -26,8 +26,8 @@ def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6,
     stated = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
     position = STATIONS[:4].copy()
     position[3] = position[0] + beside * np.array(along)
-    state = State(position, truth.state.rotation, mesh(), np.zeros((1, 0)))
-    exact = stated.with_readings(MeasurementModel(stated, ideal()).predict(state))
+    state = NetworkState(position, truth.state.station_rotations, mesh(), np.zeros((1, 0)))
+    exact = stated.with_readings(MeasurementModel(stated, ideal_construction()).predict(state))
     noise = stream(seed, "noise").standard_normal(exact.readings.shape)
     return exact.with_readings(exact.readings + exact.sigma() * noise)
 
@@ -38,9 +38,9 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     found = adjust(two_days(1.5e-3))
     (wrong,) = found.rejected_references
     assert wrong.kind == "mark"
-    assert (wrong.name, wrong.indistinguishable_from, wrong.excluded) == ("S4", ("S1",), True)
+    assert (wrong.name, wrong.indistinguishable_from, wrong.is_excluded) == ("S4", ("S1",), True)
     assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
-    assert "is 1.50" in warnings_of(found)[0] or "is 1.49" in warnings_of(found)[0]
+    assert "is 1.50" in adjustment_warnings(found)[0] or "is 1.49" in adjustment_warnings(found)[0]
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
 
 
@@ -53,7 +53,7 @@ def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(heigh
     assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.sigma_error[2])
     cause = ("above", "low") if height > 0 else ("below", "high")
     assert "{} the mark of S1 (its height is declared too {})".format(*cause) in wrong.sentence
-    assert not found.gross.any()
+    assert not found.is_gross_pointing.any()
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
     said = [item.sentence for item in check(recording).items if not item.passed]
     assert len(said) == 1
@@ -65,8 +65,8 @@ def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(heigh
 def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height: float) -> None:
     recording, truth = network(seed=4, stations=4)
     over = {name: Station(levelled=True, over=f"M{i}") for i, name in enumerate(recording.stations)}
-    marks = {f"M{i}": Target(known_mm=tuple(1e3 * place)) for i, place in enumerate(truth.state.position)}
-    marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.position[2] - [0.0, 0.0, height])))
+    marks = {f"M{i}": Target(known_mm=tuple(1e3 * place)) for i, place in enumerate(truth.state.station_positions)}
+    marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.station_positions[2] - [0.0, 0.0, height])))
     setup = recording.setup.model_copy(update={"stations": over, "targets": recording.setup.targets | marks})
     found = adjust(recording.replace(setup=setup))
     (wrong,) = found.rejected_references
@@ -94,17 +94,19 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     target = recording.target.copy()
     booked, meant = (recording.targets[t] for t in ((target[12] + 5) % 28, target[12]))
     target[12] = (target[12] + 5) % 28
-    (said,) = warnings_of(adjust(recording.replace(target=target)))
+    (said,) = adjustment_warnings(adjust(recording.replace(target=target)))
     assert said.startswith(f"At station S1 the pointing to {booked} (row 13) was to {meant}")
 
 
 def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:
     recording, _ = network(seed=3, stations=3)
     other = np.where((recording.station == 1) & (recording.target == 5), len(recording.targets), recording.target)
-    (said,) = warnings_of(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
+    (said,) = adjustment_warnings(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
     assert said.startswith(f"{recording.targets[5]} and P-77 lie within 0.0")
     beside = recording.readings + [[0.002, 0.0, 0.0]] * (other == len(recording.targets))[:, None]
     assert (
-        warnings_of(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside)))
+        adjustment_warnings(
+            adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside))
+        )
         == ()
     )

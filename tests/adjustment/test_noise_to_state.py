@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.verdict import Agreement, noise_to_declare, verdict
+from ltsim.adjustment.verdict import VerdictCase, noise_declaration_advice, verdict_on
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from tests.networks import network
 
@@ -26,8 +26,8 @@ def loud(factor: float) -> Recording:
 
 def test_each_figure_is_what_the_readings_show() -> None:
     right = network(seed=3)[0].setup.instrument.noise
-    judged = verdict(adjust(loud(4.0)))
-    assert judged.case is Agreement.SMALLER_NOISE
+    judged = verdict_on(adjust(loud(4.0)))
+    assert judged.agreement is VerdictCase.SMALLER_NOISE
     said = dict(re.findall(r"(\w+) to ([\d.e-]+)", judged.sentence.partition("Set ")[2]))
     assert said.keys() == {key for key, value in right.model_dump().items() if value}
     for key, value in said.items():
@@ -35,12 +35,12 @@ def test_each_figure_is_what_the_readings_show() -> None:
 
 
 def test_nothing_is_suggested_where_the_noise_is_right() -> None:
-    assert noise_to_declare(adjust(loud(1.0))) == ""
+    assert noise_declaration_advice(adjust(loud(1.0))) == ""
 
 
 def test_sigmas_of_rows_are_multiplied() -> None:
     recording = loud(1.0)
     sigma = 3.0 * recording.sigma()[:, 0] * 1e3
     columns = {**recording.covariates, SIGMA_COLUMNS[0]: np.where(np.isfinite(sigma), sigma, np.nan)}
-    said = noise_to_declare(adjust(recording.replace(covariates=columns)))
+    said = noise_declaration_advice(adjust(recording.replace(covariates=columns)))
     assert re.fullmatch(r"Multiply the sigmas of distance by 0\.[23]\d*\.", said), said

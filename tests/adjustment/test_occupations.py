@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.centring import centring_errors, correct_centring
+from ltsim.adjustment.centring import correct_centring, estimate_centring_errors
 from ltsim.adjustment.fieldcheck import check
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
@@ -65,40 +65,40 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), sp
 
 @pytest.mark.parametrize("spire", [1.0, 10.0])
 def test_no_tripod_of_a_sound_network_is_named(spire: float) -> None:
-    assert [centring_errors(adjust(local_tie(seed, spire=spire))) for seed in range(12)] == [None] * 12
+    assert [estimate_centring_errors(adjust(local_tie(seed, spire=spire))) for seed in range(12)] == [None] * 12
 
 
 @pytest.mark.parametrize("spire", [1.0, 30.0])
 @pytest.mark.parametrize("seed", family(range(4)))
 def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
     found = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
-    moved = centring_errors(found)
+    moved = estimate_centring_errors(found)
     assert moved is not None
     assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("P4", "target", DAYS[1])]
-    turned = found.state.points[1, :2] / np.linalg.norm(PILLARS[1, :2])
+    turned = found.state.target_points[1, :2] / np.linalg.norm(PILLARS[1, :2])
     across = np.array([-turned[1], turned[0]])
     east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
     expected = np.array([1.5, 1.0]) @ east * turned + np.array([1.5, 1.0]) @ [-east[1], east[0]] * across
     spread = 1e3 * np.sqrt(np.diag(moved.covariance[0])[:2])
-    assert np.all(np.abs(1e3 * moved.values[0, :2] - expected) < 4 * spread)
+    assert np.all(np.abs(1e3 * moved.shifts[0, :2] - expected) < 4 * spread)
     assert moved.chi2 < 1.3 * moved.dof
-    assert moved.noisy == (("SPIRE",) if spire > 1.0 else ())
+    assert moved.noisy_targets == (("SPIRE",) if spire > 1.0 else ())
     assert f"P4 as target on {DAYS[1]} by 1." in found_sentence(found)
     assert any(item.kind == "mistake" and "P4" in item.targets for item in check(found.recording).items)
 
 
 def found_sentence(found: object) -> str:
     """The doubts of an adjustment in one text."""
-    from ltsim.adjustment.quality import warnings_of
+    from ltsim.adjustment.quality import adjustment_warnings
 
-    return " ".join(warnings_of(found))  # type: ignore[arg-type]
+    return " ".join(adjustment_warnings(found))  # type: ignore[arg-type]
 
 
 def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None:
     calibration = lt.adjust(local_tie(1))
     rows = {row[0]: row[1:] for row in calibration.table("targets").rows}
     spire = np.array(rows["SPIRE"], dtype=np.float64)
-    turn = np.arctan2(*calibration.points[1, 1::-1]) - np.arctan2(*PILLARS[1, 1::-1])
+    turn = np.arctan2(*calibration.target_points[1, 1::-1]) - np.arctan2(*PILLARS[1, 1::-1])
     plan = SPIRE[:2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
     assert np.all(np.abs(spire[:2] - 1e3 * plan) < 5 * spire[3:5])
     assert np.isnan(spire[[2, 5]]).all()
@@ -113,4 +113,4 @@ def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() ->
     assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
     again = adjust(mended, start=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
-    assert centring_errors(again) is None
+    assert estimate_centring_errors(again) is None

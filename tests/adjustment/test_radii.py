@@ -11,23 +11,23 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import identified
-from ltsim.campaigns.truth import truth_of
+from ltsim.adjustment.identification import identify_causes
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.randomness import stream
-from ltsim.geometry.polar import wrap
-from ltsim.measurands.inputs import Inputs
-from ltsim.measurands.spec import tasks_from
-from ltsim.physics.model.construction import ideal, misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.geometry.polar import wrap_angle
+from ltsim.measurands.inputs import TaskInputs
+from ltsim.measurands.spec import validate_tasks
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import write
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target
 from ltsim.recordings.transcription_errors import UNIT_ERRORS
-from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.truth import Truth
 
 HERE = Path("reflectors.toml")
@@ -49,14 +49,14 @@ def scenario(**changes: Any) -> Scenario:
         "stations.S3.reflector": "middle",
     }
     keys = {key.replace("__", "."): value for key, value in changes.items()}
-    return changed(load_scenario("paper-workshop"), stated | small | keys, HERE)
+    return change_scenario(load_scenario("paper-workshop"), stated | small | keys, HERE)
 
 
 def controlled(recording: Recording, truth: Truth, known: tuple[str, ...] = CONTROL) -> Recording:
     """The recording with some targets known as they are."""
     targets = dict(recording.setup.targets)
     for name in known:
-        place = tuple((1e3 * truth.points[truth.target_names.index(name)]).tolist())
+        place = tuple((1e3 * truth.target_points[truth.target_names.index(name)]).tolist())
         targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.002})
     return with_setup(recording, targets=targets)
 
@@ -68,7 +68,7 @@ def with_setup(recording: Recording, **changes: Any) -> Recording:
 def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
     """Adjusted less true coordinates (T, 3) [m], and the covariances."""
     found = adjust(recording)
-    return found.state.points - truth.points, found.target_covariance
+    return found.state.target_points - truth.target_points, found.target_covariance
 
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:
@@ -104,24 +104,30 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
     upright = scenario(**up, **levels, smr__nests="re-aimed", gauge__nest_normal=[0, 0, 1])
     recording, truth = lt.simulate(upright, seed=3)
     found = adjust(recording)
-    assert 0.8 < found.sigma0 < 1.2 and not found.gross.any()
-    apart, true = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.points, truth.points))
+    assert 0.8 < found.sigma0 < 1.2 and not found.is_gross_pointing.any()
+    apart, true = (
+        np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.target_points, truth.target_points)
+    )
     assert np.abs(apart - true).max() < 80e-6
 
 
-@pytest.mark.parametrize("construction", [ideal(), misalignment()])
+@pytest.mark.parametrize("construction", [ideal_construction(), misalignment_construction()])
 def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     model = MeasurementModel(recording, construction)
     draw = stream(1, "reflectors")
-    state = State(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
-    pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.points.shape))
+    state = NetworkState(
+        truth.station_positions, truth.station_rotations, truth.target_points, np.zeros((1, construction.n_parameters))
+    )
+    pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.target_points.shape))
     there = model.linearised(state)
-    first = np.einsum("nij,nj->ni", there.by_pose, pose[recording.station])
-    first += np.einsum("nij,nj->ni", there.by_target, points[recording.target])
-    zero = np.zeros_like(state.instrument), np.zeros(0)
-    exact = model.predict(state.moved(pose, points, *zero)) - model.predict(state.moved(-pose, -points, *zero))
-    exact[:, 1] = wrap(exact[:, 1])
+    first = np.einsum("nij,nj->ni", there.pose_derivatives, pose[recording.station])
+    first += np.einsum("nij,nj->ni", there.target_derivatives, points[recording.target])
+    zero = np.zeros_like(state.instrument_parameters), np.zeros(0)
+    exact = model.predict(state.incremented(pose, points, *zero)) - model.predict(
+        state.incremented(-pose, -points, *zero)
+    )
+    exact[:, 1] = wrap_angle(exact[:, 1])
     np.testing.assert_allclose(exact / 2, first, atol=1e-12)
     np.testing.assert_allclose(there.readings, model.predict(state), atol=1e-13)
 
@@ -153,7 +159,7 @@ def test_a_recording_is_written_and_read_again_with_its_balls(tmp_path: Path) ->
     again = read_recording(tmp_path / "rec")
     assert again.setup == recording.setup and again.labels == recording.labels
     text = scenario_to_toml(scenario())
-    assert scenario_from(tomllib.loads(text), HERE) == scenario()
+    assert validate_scenario(tomllib.loads(text), HERE) == scenario()
 
 
 def without_normal(recording: Recording) -> Recording:
@@ -210,7 +216,7 @@ def test_one_radius_for_all_moves_nothing() -> None:
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
     with pytest.raises(SetupError, match="trials in batch use one SMR"):
-        truth_of(scenario(), 1)
+        make_cell_truth(scenario(), 1)
 
 
 def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
@@ -218,21 +224,21 @@ def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
     recording, truth = lt.simulate(errs, seed=3)
     point = {"name": "p", "kind": "point", "targets": ["T12"]}
     stated = {"format": "ltsim-tasks/1", "source": "rec", "calibrate": False, "task": [point]}
-    inputs = Inputs.of(controlled(recording, truth), tasks_from(stated, "tasks.toml"))
+    inputs = TaskInputs.from_recording(controlled(recording, truth), validate_tasks(stated, "tasks.toml"))
     source = next(s for s in inputs.sources if s.name == "radius of small")
     normal = np.array(recording.target_setup("T12").nest_normal)
-    assert source.kind == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
-    np.testing.assert_allclose(1e3 * source.response[:, 0], 0.01 * normal, atol=1e-3)
+    assert source.evaluation_type == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
+    np.testing.assert_allclose(1e3 * source.point_response[:, 0], 0.01 * normal, atol=1e-3)
 
 
 def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
-    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").written(readings[[row]])
-    selection = identified(controlled(recording.with_readings(readings), truth))
+    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").with_error(readings[[row]])
+    selection = identify_causes(controlled(recording.with_readings(readings), truth))
     assert selection is not None
-    (choice,) = selection.choices
+    (choice,) = selection.selected_hypotheses
     assert choice.hypothesis.kind == "unit" and choice.hypothesis.rows == (row + 1,)
     np.testing.assert_allclose(selection.fit.recording.readings, recording.readings, rtol=0, atol=1e-12)
 

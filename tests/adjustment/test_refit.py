@@ -9,27 +9,27 @@ from typing import Any
 import pytest
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.refit import Estimated, refit
+from ltsim.adjustment.refit import ParameterEstimate, refit_with_effects
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.station_settling import StationSettling
-from ltsim.physics.model.construction import misalignment
-from ltsim.solve.gauss_newton import Status
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.solve.gauss_newton import TerminationStatus
 from tests.networks import with_effect
 
 
 def refitted(
     effect: Effect, guess: Effect, values: list[float], *, noise: float = 1.0, adjusted: Any = adjust
-) -> tuple[Adjustment, dict[str, Estimated]]:
+) -> tuple[Adjustment, dict[str, ParameterEstimate]]:
     recording = with_effect(effect, values, noise=noise)
-    start = adjust(recording, misalignment()).state
-    found = refit(partial(adjusted, recording, misalignment()), [guess], start=start)
+    start = adjust(recording, misalignment_construction()).state
+    found = refit_with_effects(partial(adjusted, recording, misalignment_construction()), [guess], start=start)
     return found.adjustment, {one.parameter.name: one for one in found.estimates[0]}
 
 
 def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
     true = StationSettling(("S3",), time_constant=480.0)
-    _, told = refitted(true, true.reshaped(time_constant=700.0), [30e-6, -20e-6, 40e-6])
+    _, told = refitted(true, true.with_constants(time_constant=700.0), [30e-6, -20e-6, 40e-6])
     expected = {"tilt-x": 30e-6, "tilt-y": -20e-6, "rise": 40e-6, "time_constant": 480.0}
     assert set(told) == set(expected)
     for name, value in expected.items():
@@ -39,7 +39,7 @@ def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
 
 def test_a_refit_without_noise_ends_at_the_truth() -> None:
     true = RangeCyclic(wavelength=0.75)
-    found, told = refitted(true, true.reshaped(wavelength=0.76), [10e-6, 0.0], noise=0.0)
+    found, told = refitted(true, true.with_constants(wavelength=0.76), [10e-6, 0.0], noise=0.0)
     assert found.chi2 < 1.0
     assert told["wavelength"].value == pytest.approx(0.75, rel=1e-3)
 
@@ -49,9 +49,9 @@ def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> Non
     frequency = []
     for length, off in ((0.02, 5e-4), (0.75, 5e-3)):
         true = RangeCyclic(wavelength=length)
-        start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment())
-        guess = [true.reshaped(wavelength=length * (1 + off))]
-        found = refit(start.with_effects, guess, start=start.state)
+        start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment_construction())
+        guess = [true.with_constants(wavelength=length * (1 + off))]
+        found = refit_with_effects(start.with_effects, guess, start=start.state)
         assert found.adjustment.chi2 < 0.1
         *_, wavelength = found.estimates[0]
         assert wavelength.value == pytest.approx(length, rel=1e-5)
@@ -62,11 +62,11 @@ def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> Non
 def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
     true = StationSettling(("S3",), time_constant=480.0)
     recording = with_effect(true, [30e-6, -20e-6, 40e-6], noise=2.0)
-    start = adjust(recording, misalignment(), effects=[true], variance_components="observable")
-    found = refit(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
+    start = adjust(recording, misalignment_construction(), effects=[true], variance_components="observable")
+    found = refit_with_effects(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
     assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
     assert [one.parameter for one in found.estimates[0]] == list(true.parameters)
-    assert [one.value for one in found.estimates[0]] == pytest.approx(start.state.extra, rel=1e-6)
+    assert [one.value for one in found.estimates[0]] == pytest.approx(start.state.extra_parameters, rel=1e-6)
     sigma = start.extra_covariance.diagonal() ** 0.5
     assert [one.sigma for one in found.estimates[0]] == pytest.approx(sigma, rel=1e-6)
 
@@ -80,12 +80,12 @@ def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:
         found = adjust(*args, **kwargs)
         if len(kwargs["effects"]) == 1 and kwargs["effects"][0] != guess:
             bad += 1
-            return replace(found, solution=replace(found.solution, status=Status.CAPPED))
+            return replace(found, solution=replace(found.solution, status=TerminationStatus.MAX_ITERATIONS_REACHED))
         return found
 
     true = RangeCyclic(wavelength=0.75)
-    guess = true.reshaped(wavelength=0.76)
+    guess = true.with_constants(wavelength=0.76)
     found, told = refitted(true, guess, [10e-6, 0.0], noise=0.0, adjusted=capped)
     assert bad
-    assert found.solution.converged
+    assert found.solution.has_converged
     assert told["wavelength"].value == pytest.approx(0.76)

@@ -9,12 +9,12 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel
-from ltsim.physics.model.nuisances import shared_errors
+from ltsim.physics.model.nuisances import read_shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.recording import KIND_COLUMN, OBSERVABLES
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +33,15 @@ def recording() -> Recording:
 
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
-    found = adjust(recording, judging=())
-    (shared,) = shared_errors(recording)
-    assert shared.reach.shape == (len(recording), len(OBSERVABLES), 2)
+    found = adjust(recording, tested_kinds=())
+    (shared,) = read_shared_errors(recording)
+    assert shared.reading_changes.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
-    plain = NetworkProblem.of(MeasurementModel(alone, ideal()))
+    plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
     assert found.dof == plain.dof
-    system = plain.linearise(replace(found.state, extra=np.zeros(0)))
-    design, residual, used = as_dense(system.design), system.residual.copy(), plain.use
-    reach = shared.reach[used] / plain.sigma[used][:, None]
+    system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
+    design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.used_readings
+    reach = shared.reading_changes[used] / plain.sigma[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
     rows = slice(0, len(reach))
     design[rows], residual[rows] = np.linalg.solve(root, design[rows]), np.linalg.solve(root, residual[rows])
@@ -49,12 +49,14 @@ def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     step = spread @ design.T @ residual
     assert np.abs(step / np.sqrt(np.diag(spread))).max() < 1e-3
     assert found.chi2 == pytest.approx(float(residual @ residual), rel=1e-5)
-    at = plain.unknowns.target
+    at = plain.unknowns.target_columns
     np.testing.assert_allclose(found.target_covariance, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15)
 
 
 def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path: Path) -> None:
     write(recording, tmp_path / "native", "native")
     again = read(tmp_path / "native")
-    np.testing.assert_allclose(shared_errors(again)[0].reach, shared_errors(recording)[0].reach, rtol=1e-9)
-    assert not any(name.startswith("shared_") for name in again.circumstances)
+    np.testing.assert_allclose(
+        read_shared_errors(again)[0].reading_changes, read_shared_errors(recording)[0].reading_changes, rtol=1e-9
+    )
+    assert not any(name.startswith("shared_") for name in again.regressor_covariates)

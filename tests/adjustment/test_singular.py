@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.structure import refusing_singular
+from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.errors import NetworkError
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
@@ -40,7 +40,7 @@ def test_elevations_alone_are_refused(verb: object, gauge: bool, recording: Reco
 
 
 def test_a_factorisation_that_fails_names_the_weakest_station_and_target(recording: Recording) -> None:
-    @refusing_singular
+    @raise_for_singular_network
     def broken(recording: Recording) -> None:
         np.linalg.eigvalsh(np.full((3, 3), np.nan))
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.frame import Pairs
+from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from ltsim.solve import design
@@ -26,8 +26,8 @@ def test_a_ring_of_210_set_ups_with_all_statistics():
     found = adjust(recording)
     sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
     poses, redundancy = found.pose_covariance, found.redundancy
-    assert found.solution.converged
-    assert not found.gross.any()
+    assert found.solution.has_converged
+    assert not found.is_gross_pointing.any()
     assert 0.001 < found.p_value < 0.999
     assert np.isfinite(sigma).all() and np.isfinite(poses).all()
     assert np.nansum(redundancy) == pytest.approx(found.dof, abs=1e-3)
@@ -38,7 +38,7 @@ def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     sparse = adjust(recording)
     monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", 10**9)
     dense = adjust(recording)
-    np.testing.assert_allclose(sparse.state.points, dense.state.points, atol=1e-9)
+    np.testing.assert_allclose(sparse.state.target_points, dense.state.target_points, atol=1e-9)
     np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.pose_covariance, dense.pose_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.redundancy, dense.redundancy, atol=1e-7)
@@ -59,7 +59,7 @@ def tunnel(stations, each=50):
     along = 6.3 * (np.arange(count) // half) - 3.15 + rng.uniform(-2, 2, count)
     side = rng.choice([-2.0, 2.0], count) + rng.normal(0, 0.3, count)
     points = np.stack([along, side, rng.uniform(0.2, 3.0, count)], axis=1)
-    rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
+    rotation = np.stack([rotation_about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
     ones = np.ones(stations * each, dtype=np.int64)
     recording = Recording(
         setup=Setup(),
@@ -72,7 +72,9 @@ def tunnel(stations, each=50):
         time=np.arange(len(ones), dtype=np.float64),
         readings=np.zeros((len(ones), 3)),
     )
-    exact = MeasurementModel(recording, ideal()).predict(State(position, rotation, points, np.zeros((1, 0))))
+    exact = MeasurementModel(recording, ideal_construction()).predict(
+        NetworkState(position, rotation, points, np.zeros((1, 0)))
+    )
     recording = recording.with_readings(exact)
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 
@@ -85,8 +87,8 @@ def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
     found = adjust(recording)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert found.solution.converged
-    assert not found.gross.any()
+    assert found.solution.has_converged
+    assert not found.is_gross_pointing.any()
     assert 0.001 < found.p_value < 0.999
     assert np.isfinite(found.target_covariance).all()
     assert most < 200e6
@@ -98,19 +100,19 @@ def test_the_list_of_pairs_is_what_a_table_would_be():
         **{n: np.tile(getattr(recording, n), 3) for n in ("station", "target", "face", "repeat", "time")},
         readings=np.concatenate([recording.readings + s for s in (0.0, 1e-3, 5e-3)]),
     )
-    pairs = Pairs.of(twice)
+    pairs = StationTargetPairs.from_recording(twice)
     points = from_polar(twice.readings)
     for s in range(5):
         own = pairs.of_station(s)
-        for target, point in zip(pairs.target[own], pairs.points[own], strict=True):
+        for target, point in zip(pairs.target_indices[own], pairs.local_points[own], strict=True):
             rows = (twice.station == s) & (twice.target == target)
             np.testing.assert_array_equal(point, np.median(points[rows], axis=0))
-    values = pairs.points.copy()
+    values = pairs.local_points.copy()
     values[pairs.of_station(2)] = np.nan
     table = np.full((5, len(recording.targets), 3), np.nan)
-    table[pairs.station, pairs.target] = values
+    table[pairs.station_indices, pairs.target_indices] = values
     which = np.array([3, 11, 25, 30, 59])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         expected = np.nanmedian(table[:, which], axis=0)
-    np.testing.assert_array_equal(pairs.medians(values, which), expected)
+    np.testing.assert_array_equal(pairs.medians_by_target(values, which), expected)

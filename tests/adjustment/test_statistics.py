@@ -7,14 +7,14 @@ from scipy import stats
 from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_w, noncentrality, p_value_of_tau
 from ltsim.adjustment.significance import FAMILY_LEVEL
-from ltsim.adjustment.verdict import Agreement, verdict
+from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from tests.networks import drawn, network
 
-TRACKER = misalignment()
+TRACKER = misalignment_construction()
 
 
 def noisy(seed: int, scale=(1.0, 1.0, 1.0), **options):
@@ -58,25 +58,27 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
     found = adjust(recording.with_readings(place + scatter * recording.sigma()))
     assert found.noisy_targets[0].tolist() == [3, 2]
-    assert [(one.row, one.observable) for one in found.outliers(estimated=True)] == [(2 * times + 5, 1)]
-    assert found.outliers(estimated=True)[0].p_value < 1e-3
+    assert [(one.row, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)] == [
+        (2 * times + 5, 1)
+    ]
+    assert found.flagged_readings(uses_estimated_noise=True)[0].p_value < 1e-3
 
 
 def test_a_large_error_blames_none_of_the_readings_that_it_bends():
     clean = noisy(3)
     found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
-    assert np.sum(np.abs(found.w) > critical_w(int(found.problem.use.sum()))) > 1
-    assert [(one.row, one.observable) for one in found.outliers()] == [(20, 0)]
+    assert np.sum(np.abs(found.normalised_residuals) > critical_w(int(found.problem.used_readings.sum()))) > 1
+    assert [(one.row, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
     two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
-    assert [(one.row, one.observable) for one in two.outliers()] == [(20, 0), (47, 2)]
-    assert two.outliers()[1].size / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
+    assert [(one.row, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
+    assert two.flagged_readings()[1].estimated_error / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
 
 
 def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     over, count = 0, 0
     for seed in range(40):
         found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
-        tau = found.w[np.nan_to_num(found.redundancy) > 0.2] / found.sigma0
+        tau = found.normalised_residuals[np.nan_to_num(found.redundancy) > 0.2] / found.sigma0
         over += int(np.sum(p_value_of_tau(np.abs(tau), np.full(len(tau), float(found.dof)), 1) < 0.05))
         count += len(tau)
     assert over / count == pytest.approx(0.05, abs=0.015)
@@ -84,17 +86,17 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(clean.problem.use.sum()))
+    needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(clean.problem.used_readings.sum()))
     bias = np.sqrt(needed / clean.redundancy)
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
-    limit = critical_w(int(clean.problem.use.sum()))
+    limit = critical_w(int(clean.problem.used_readings.sum()))
     found = 0
     for k, i in enumerate(rows):
         j = k % 3
-        expected = clean.w[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
+        expected = clean.normalised_residuals[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
         if k < 6:
             again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start=clean.state)
-            assert again.w[i, j] == pytest.approx(expected, abs=0.05)
+            assert again.normalised_residuals[i, j] == pytest.approx(expected, abs=0.05)
         found += expected > limit
     assert found / len(rows) == pytest.approx(0.8, abs=0.13)
 
@@ -109,16 +111,16 @@ def test_many_blunders_are_left_out_and_nothing_else(seed):
     where = [(int(i), int(rng.integers(3))) for i in rng.permutation(len(clean))[:14]]
     sizes = rng.choice([-1, 1], 14) * 10 ** rng.uniform(1.3, 3.5, 14)
     found = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
-    assert found.solution.converged
-    assert {tuple(map(int, at)) for at in np.argwhere(found.rejected)} == set(where)
+    assert found.solution.has_converged
+    assert {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)} == set(where)
     use = np.ones((len(clean), 3), dtype=bool)
     use[tuple(np.array(where).T)] = False
-    without = adjust(clean, TRACKER, use=use)
-    np.testing.assert_allclose(found.state.points, without.state.points, atol=1e-9)
+    without = adjust(clean, TRACKER, reading_mask=use)
+    np.testing.assert_allclose(found.state.target_points, without.state.target_points, atol=1e-9)
 
 
 def test_clean_recordings_lose_nothing():
-    lost = [int(adjust(noisy(seed), TRACKER, robust=True).rejected.sum()) for seed in range(15)]
+    lost = [int(adjust(noisy(seed), TRACKER, robust=True).is_rejected.sum()) for seed in range(15)]
     assert sum(count > 0 for count in lost) <= 2
 
 
@@ -128,14 +130,14 @@ def test_what_was_screened_out_wrongly_comes_back():
     readings = clean.readings.copy()
     readings[20, 0] += 0.05
     plain, robust = (adjust(clean.with_readings(readings), TRACKER, robust=r) for r in (False, True))
-    assert np.flatnonzero(plain.gross).tolist() == [20]
-    assert not robust.gross.any()
-    assert np.argwhere(robust.rejected).tolist() == [[20, 0]]
+    assert np.flatnonzero(plain.is_gross_pointing).tolist() == [20]
+    assert not robust.is_gross_pointing.any()
+    assert np.argwhere(robust.is_rejected).tolist() == [[20, 0]]
 
 
 def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
     found = adjust(noisy(2, (6.0, 6.0, 6.0)), TRACKER, robust=True)
-    assert found.rejected.sum() <= 2
+    assert found.is_rejected.sum() <= 2
 
 
 # --- variance components ------------------------------------------------------------------------------------------
@@ -144,11 +146,11 @@ def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
 def test_noise_of_each_observable_is_found():
     truth = (2.0, 0.5, 4.0)
     found = adjust(noisy(4, truth, faces=2), TRACKER, variance_components="observable")
-    assert [c.observable for c in found.components] == ["distance", "azimuth", "elevation"]
-    for component, true in zip(found.components, truth, strict=True):
-        assert component.factor == pytest.approx(true, abs=4 * component.sigma)
-        assert component.sigma < 0.1 * true
-        assert abs(component.factor - 1.0) > 3.0 * component.sigma
+    assert [c.observable for c in found.variance_components] == ["distance", "azimuth", "elevation"]
+    for component, true in zip(found.variance_components, truth, strict=True):
+        assert component.factor == pytest.approx(true, abs=4 * component.factor_sigma)
+        assert component.factor_sigma < 0.1 * true
+        assert abs(component.factor - 1.0) > 3.0 * component.factor_sigma
     assert found.sigma0 == pytest.approx(1.0, abs=0.02)
 
 
@@ -164,10 +166,12 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
     found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, variance_components="instrument")
-    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.rejected)}
-    assert found.rejected.sum() < 8
-    for component in found.components:
-        assert component.factor == pytest.approx({"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.sigma)
+    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)}
+    assert found.is_rejected.sum() < 8
+    for component in found.variance_components:
+        assert component.factor == pytest.approx(
+            {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.factor_sigma
+        )
 
 
 def test_a_group_without_redundancy_keeps_its_noise():
@@ -175,8 +179,8 @@ def test_a_group_without_redundancy_keeps_its_noise():
     readings = recording.readings.copy()
     readings[1:, 0] = np.where(np.arange(len(readings) - 1) < 2, readings[1:, 0], np.nan)
     gauge = adjust(recording.with_readings(readings), TRACKER, variance_components="observable")
-    assert gauge.components[0].factor == 1.0
-    assert gauge.components[0].sigma == np.inf
+    assert gauge.variance_components[0].factor == 1.0
+    assert gauge.variance_components[0].factor_sigma == np.inf
 
 
 # --- verdict ------------------------------------------------------------------------------------------------------
@@ -184,19 +188,19 @@ def test_a_group_without_redundancy_keeps_its_noise():
 
 def test_the_verdict_says_which_test_to_trust():
     clean = next(a for a in (adjust(noisy(s, faces=2), TRACKER) for s in range(9)) if 0.2 < a.p_value < 0.8)
-    assert verdict(clean).case is Agreement.CLEAN
+    assert verdict_on(clean).agreement is VerdictCase.CLEAN
     hidden = adjust(spoiled(clean.recording, [(50, 1)], [9.0]), TRACKER)
-    assert verdict(hidden).case is Agreement.HIDDEN_ERRORS
-    assert "one reading is an outlier although" in verdict(hidden).sentence
+    assert verdict_on(hidden).agreement is VerdictCase.HIDDEN_ERRORS
+    assert "one reading is an outlier although" in verdict_on(hidden).sentence
     single = adjust(spoiled(clean.recording, [(50, 1), (90, 0)], [60.0, 40.0]), TRACKER)
-    assert verdict(single).case is Agreement.SINGLE_ERRORS
-    assert len(single.outliers()) >= 2
-    larger = verdict(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
-    assert larger.case is Agreement.LARGER_NOISE
-    assert larger.by_estimate
-    smaller = verdict(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
-    assert smaller.case is Agreement.SMALLER_NOISE
-    assert smaller.by_estimate
+    assert verdict_on(single).agreement is VerdictCase.SINGLE_ERRORS
+    assert len(single.flagged_readings()) >= 2
+    larger = verdict_on(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
+    assert larger.agreement is VerdictCase.LARGER_NOISE
+    assert larger.uses_estimated_noise
+    smaller = verdict_on(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
+    assert smaller.agreement is VerdictCase.SMALLER_NOISE
+    assert smaller.uses_estimated_noise
     for one in (larger, smaller):
         assert one.sentence.startswith("Trust the")
         assert one.sentence.endswith(".")

@@ -56,8 +56,8 @@ def test_an_open_traverse_is_solved_from_any_order(tmp_path: Path, ends: str) ->
     recording = read(tmp_path / "a.gkf")
     for rows in (np.arange(len(recording)), np.arange(len(recording))[::-1]):
         adjusted = lt.adjust(recording.select(rows))
-        at = [int(name) for name in adjusted.targets]
-        np.testing.assert_allclose(spans(adjusted.points[:, :2]), spans(points[at]), atol=0.02)
+        at = [int(name) for name in adjusted.target_names]
+        np.testing.assert_allclose(spans(adjusted.target_points[:, :2]), spans(points[at]), atol=0.02)
         assert adjusted.fit.dof == 1
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 
@@ -29,7 +29,7 @@ Make = Callable[..., Recording]
 def draw(construction: Construction, seed: int, trial: int, share: float = 1.0) -> np.ndarray:
     """Parameters from the prior."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
-    return share * sigma * stream(seed, "parameters", trial).standard_normal(construction.size)
+    return share * sigma * stream(seed, "parameters", trial).standard_normal(construction.n_parameters)
 
 
 @pytest.fixture(scope="session")
@@ -41,7 +41,7 @@ def points() -> np.ndarray:
 @pytest.fixture(scope="session")
 def poses() -> tuple[np.ndarray, np.ndarray]:
     """True positions (S, 3) and rotations (S, 3, 3)."""
-    return STATIONS, np.stack([about_z(yaw) for yaw in YAW])
+    return STATIONS, np.stack([rotation_about_z(yaw) for yaw in YAW])
 
 
 @pytest.fixture(scope="session")
@@ -56,11 +56,11 @@ def make() -> Make:
         construction: Construction | None = None,
         noise: float = 1.0,
     ) -> Recording:
-        built = construction or misalignment()
+        built = construction or misalignment_construction()
         count = len(POINTS)
         grid = np.array([(s, t, f) for s in range(len(STATIONS)) for f in faces for t in range(count)])
         station, target, face = grid.T
-        turn = np.stack([about_z(yaw) for yaw in YAW])
+        turn = np.stack([rotation_about_z(yaw) for yaw in YAW])
         local = np.einsum("nji,nj->ni", turn[station], POINTS[target] - STATIONS[station])
         rng = stream(5, "noise", trial)
         names = tuple(f"T{t + 1:02d}" for t in range(count))

@@ -11,12 +11,12 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.setup import Instrument, Prior
 from tests.networks import drawn, network
 
-VALUES = drawn(misalignment(), 3)
+VALUES = drawn(misalignment_construction(), 3)
 
 
 @pytest.fixture(scope="module")
@@ -32,32 +32,32 @@ def with_prior(recording: Recording, **parameters: float) -> Recording:
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_only_chosen_parameters_are_estimated(recording: Recording, method: str) -> None:
     found = lt.calibrate(recording, method=method, parameters=["beam-tilt", "azimuth-eccentricity"], advise=False)
-    free = [name for name, held in zip(found.names, found.held[0], strict=True) if not held]
+    free = [name for name, held in zip(found.instrument_parameter_names, found.is_fixed[0], strict=True) if not held]
     assert free == ["beam-tilt", "azimuth-eccentricity-cos", "azimuth-eccentricity-sin"]
-    assert np.all(found.values[found.held] == 0.0)
-    assert np.all(found.sigma[found.held] == 0.0)
-    assert np.all(found.sigma[~found.held] > 0.0)
+    assert np.all(found.estimates[found.is_fixed] == 0.0)
+    assert np.all(found.sigma[found.is_fixed] == 0.0)
+    assert np.all(found.sigma[~found.is_fixed] > 0.0)
 
 
 @pytest.mark.long
 def test_holding_at_the_truth_is_as_good_as_leaving_the_parameter_out(recording: Recording) -> None:
     """Held at zero, a parameter that is zero changes nothing against a construction that lacks it."""
-    whole = misalignment()
-    fewer = whole.only(range(8))
-    held = lt.calibrate(recording, parameters=whole.names[:8], advise=False)
+    whole = misalignment_construction()
+    fewer = whole.with_parameter_subset(range(8))
+    held = lt.calibrate(recording, parameters=whole.parameter_names[:8], advise=False)
     without = lt.calibrate(recording, construction=fewer, advise=False)
     assert held.fit.dof == without.fit.dof
     assert held.fit.chi2 == pytest.approx(without.fit.chi2, rel=1e-9)
-    assert held.values[0, :8] == pytest.approx(without.values[0], rel=1e-6)
+    assert held.estimates[0, :8] == pytest.approx(without.estimates[0], rel=1e-6)
     assert held.sigma[0, :8] == pytest.approx(without.sigma[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("method", ["network", "distance", "distance-l1"])
 def test_a_parameter_stays_at_the_value_at_which_it_is_held(recording: Recording, method: str) -> None:
     found = lt.calibrate(recording, method=method, hold={"beam-tilt": 2.5}, without=["transit-tilt"], advise=False)
-    tilt = found.names.index("beam-tilt")
-    assert found.values[0, tilt] == pytest.approx(2.5e-6, rel=1e-12)
-    assert found.held[0].sum() == 2
+    tilt = found.instrument_parameter_names.index("beam-tilt")
+    assert found.estimates[0, tilt] == pytest.approx(2.5e-6, rel=1e-12)
+    assert found.is_fixed[0].sum() == 2
     assert not any("beam-tilt" in c.combination for c in found.undetermined)
 
 
@@ -70,10 +70,10 @@ def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recor
     unit = np.outer(first.prior_sigma, first.prior_sigma)
     told = [np.linalg.inv(c.covariance / unit) for c in (first, second)]
     both = np.linalg.inv(told[0] + told[1] - np.eye(16))
-    values = both @ sum(n @ (c.values[0] / c.prior_sigma[0]) for n, c in zip(told, (first, second), strict=True))
+    values = both @ sum(n @ (c.estimates[0] / c.prior_sigma[0]) for n, c in zip(told, (first, second), strict=True))
     assert chained.history_prior
     assert np.sqrt(np.diag(both)) == pytest.approx(chained.sigma[0] / first.prior_sigma[0], rel=1e-3)
-    gap = (values * first.prior_sigma[0] - chained.values[0]) / chained.sigma[0]
+    gap = (values * first.prior_sigma[0] - chained.estimates[0]) / chained.sigma[0]
     assert np.max(np.abs(gap)) < 0.05
 
 
@@ -81,7 +81,7 @@ def test_a_prior_of_a_single_parameter_is_in_its_unit(recording: Recording, tmp_
     stated = with_prior(recording, **{"beam-tilt": 0.5})
     write(stated, tmp_path / "rec")
     found = lt.calibrate(read(tmp_path / "rec"), advise=False)
-    tilt = found.names.index("beam-tilt")
+    tilt = found.instrument_parameter_names.index("beam-tilt")
     assert found.prior_sigma[0, tilt] == pytest.approx(0.5e-6)
     assert found.prior_sigma[0, tilt + 1] == pytest.approx(14.544e-6, rel=1e-4)
 
@@ -95,9 +95,9 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
     }
     two = recording.replace(setup=type(recording.setup).model_validate(content))
     found = lt.calibrate(two, without=["vertical-index@B"], advise=False)
-    tilt, index = found.names.index("beam-tilt@A"), found.construction.index("vertical-index")
+    tilt, index = found.instrument_parameter_names.index("beam-tilt@A"), found.construction.index("vertical-index")
     assert found.prior_sigma[:, tilt] == pytest.approx([14.544e-6, 1e-6], rel=1e-4)
-    assert found.held[:, index].tolist() == [False, True]
+    assert found.is_fixed[:, index].tolist() == [False, True]
 
 
 WRONG = {
@@ -125,11 +125,11 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.physics.model.construction import construction, with_parameters
+    from ltsim.physics.model.construction import construction_for_parameters, make_construction
 
-    built = construction("dh", harmonics, degree)
-    assert built.size == size
-    assert with_parameters("dh", built.names).names == built.names
+    built = make_construction("dh", harmonics, degree)
+    assert built.n_parameters == size
+    assert construction_for_parameters("dh", built.parameter_names).parameter_names == built.parameter_names
 
 
 @pytest.mark.long
@@ -143,7 +143,7 @@ def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: P
     assert held["beam-tilt"] == pytest.approx(2.5)
     again = lt.calibrate(tmp_path / "rec", prior=tmp_path / "first", advise=False)
     assert again.history_prior
-    assert not again.held.any()
+    assert not again.is_fixed.any()
     capsys.readouterr()
     assert run(["calibrate", str(tmp_path / "rec"), "--parameters", "vertical-index,beam-offset"]) == 0
     held = [line.split() for line in capsys.readouterr().out.splitlines() if "yes" in line.split()]
@@ -160,23 +160,23 @@ def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording:
     file = tmp_path / "history.json"
     file.write_text(json.dumps(history.content()))
     found = [lt.calibrate(recording, prior=source, advise=False) for source in (history, file)]
-    assert found[0].values == pytest.approx(found[1].values, rel=1e-6)
+    assert found[0].estimates == pytest.approx(found[1].estimates, rel=1e-6)
     assert np.all(found[0].sigma[0] <= 1.01 * lt.calibrate(recording, advise=False).sigma[0])
     with pytest.raises(LtsimError, match="independent of each other"):
         lt.history([found[0], found[1]])
 
 
 def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated() -> None:
-    built = dh()
+    built = dh_construction()
     at = built.index("J1.eX_sin2")
-    values = np.zeros(built.size)
+    values = np.zeros(built.n_parameters)
     values[at] = 5e-6
     recording = network(faces=2, seed=2, values=values, construction=built)[0]
     found = lt.calibrate(recording, construction="dh", advise=False)
-    assert abs(found.values[0, at] - 5e-6) < 3 * found.sigma[0, at]
+    assert abs(found.estimates[0, at] - 5e-6) < 3 * found.sigma[0, at]
     said = [note for note in found.notes if note.startswith("J1.eX_sin2 is ")]
     assert "contradicts its declared prior of 0.242 urad" in said[0]
     wider = lt.calibrate(with_prior(recording, J1__eX_sin2=10.0), construction="dh", advise=False)
-    assert abs(wider.values[0, at] - 5e-6) < 3 * wider.sigma[0, at]
+    assert abs(wider.estimates[0, at] - 5e-6) < 3 * wider.sigma[0, at]
     assert wider.sigma[0, at] < 1e-6
     assert not any("contradict" in note for note in wider.notes)

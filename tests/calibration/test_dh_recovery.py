@@ -10,30 +10,39 @@ import numpy as np
 import pytest
 
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import Choice, EarlierCalibrations
+from ltsim.calibration.prior_information import EarlierCalibrations, ParameterSelection
 from ltsim.core.arrays import Floats
-from ltsim.physics.model.construction import dh
+from ltsim.physics.model.construction import dh_construction
 from tests.networks import network
 
 DETERMINED, FAR, WIDER = 47, 20.0, 100.0
 SEEN = 3.0
 """Prior sigmas: a combination that is known worse cannot be told to be 20 of them off."""
-BUILT = dh()
+BUILT = dh_construction()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 
 
-def wide() -> Choice:
+def wide() -> ParameterSelection:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
-    return Choice(
-        prior=EarlierCalibrations("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size))
+    return ParameterSelection(
+        earlier_calibrations=EarlierCalibrations(
+            "dh",
+            BUILT.parameter_names,
+            ("",),
+            np.zeros((1, BUILT.n_parameters)),
+            covariance,
+            np.zeros(BUILT.n_parameters),
+        )
     )
 
 
 @pytest.fixture(scope="module")
 def directions() -> Floats:
     """(78, 47) combinations in prior sigmas, the best determined first."""
-    found = calibrate_network(network(faces=2, seed=0, construction=BUILT)[0], BUILT, advise=False, choice=wide())
+    found = calibrate_network(
+        network(faces=2, seed=0, construction=BUILT)[0], BUILT, recommend_measurements=False, parameter_selection=wide()
+    )
     unit = WIDER * SIGMA
     left, vectors = np.linalg.eigh(found.covariance / np.outer(unit, unit))
     assert left[DETERMINED - 1] < 0.9 < left[DETERMINED]
@@ -46,12 +55,12 @@ def directions() -> Floats:
 def test_a_combination_far_off_its_prior_is_recovered_and_its_misfit_is_said(directions: Floats, number: int) -> None:
     injected = FAR * directions[:, number]
     recording = network(faces=2, seed=number, values=injected * SIGMA, construction=BUILT)[0]
-    found = calibrate_network(recording, BUILT, advise=False, choice=wide())
-    error = directions.T @ (found.values[0] / SIGMA - injected)
+    found = calibrate_network(recording, BUILT, recommend_measurements=False, parameter_selection=wide())
+    error = directions.T @ (found.estimates[0] / SIGMA - injected)
     spread = directions.T @ (found.covariance / np.outer(SIGMA, SIGMA)) @ directions
     z = error / np.sqrt(np.diag(spread))
     assert abs(z[number]) < 3.9
     assert z @ z < 100.0  # chi-square of 47 combinations, of which one trial in 100,000 would be larger
     if spread[number, number] < SEEN**2:
-        found = calibrate_network(recording, BUILT, advise=False)
+        found = calibrate_network(recording, BUILT, recommend_measurements=False)
         assert any("contradict" in note for note in found.notes)

@@ -10,24 +10,24 @@ from scipy.stats import kstest
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances
+from ltsim.calibration.distance_solver import mean_deviation_rows, pair_difference_rows, solve_distances
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Setup
 from tests.families import family
 
 
 def problem_of(recording) -> DistanceProblem:
-    construction = misalignment()
+    construction = misalignment_construction()
     return DistanceProblem(recording, construction, prior_sigmas(recording, construction))
 
 
 def equation_9(recording, values: np.ndarray, power: int) -> float:
     """Eq. 9 as printed, in loops; gauge pairs only in its second term."""
-    points = misalignment().point(recording.readings, values)
+    points = misalignment_construction().point(recording.readings, values)
     total = 0.0
     place = {(s, t): i for i, (s, t) in enumerate(zip(recording.station, recording.target, strict=True))}
 
@@ -46,43 +46,43 @@ def equation_9(recording, values: np.ndarray, power: int) -> float:
 
 
 def test_matrix_form_is_equation_9(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 2, 0))
+    recording = make(drawn(misalignment_construction(), 2, 0))
     problem = problem_of(recording)
     unknowns = 0.5 * stream(1, "x").standard_normal(16)
     values = unknowns * problem.prior_sigma[0]
-    distances = problem.at(unknowns)
-    assert np.sum(mean_rows(problem, distances).residual ** 2) == pytest.approx(
+    distances = problem.distances_at(unknowns)
+    assert np.sum(mean_deviation_rows(problem, distances).residuals ** 2) == pytest.approx(
         equation_9(recording, values, 2), rel=1e-9
     )
-    assert np.sum(np.abs(pair_rows(problem, distances).residual)) == pytest.approx(
+    assert np.sum(np.abs(pair_difference_rows(problem, distances).residuals)) == pytest.approx(
         equation_9(recording, values, 1), rel=1e-9
     )
 
 
 def test_derivatives_equal_differences(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 2, 1))
+    recording = make(drawn(misalignment_construction(), 2, 1))
     problem = problem_of(recording)
     at, step = np.full(16, 0.3), 1e-3
-    rows = mean_rows(problem, problem.at(at))
+    rows = mean_deviation_rows(problem, problem.distances_at(at))
     for k in range(16):
-        ahead = mean_rows(problem, problem.at(at + step * np.eye(16)[k])).residual
-        back = mean_rows(problem, problem.at(at - step * np.eye(16)[k])).residual
+        ahead = mean_deviation_rows(problem, problem.distances_at(at + step * np.eye(16)[k])).residuals
+        back = mean_deviation_rows(problem, problem.distances_at(at - step * np.eye(16)[k])).residuals
         slope = (ahead - back) / (2 * step)
-        assert np.allclose(rows.by_unknown[:, k], slope, atol=1e-4 * np.abs(slope).max())
+        assert np.allclose(rows.unknown_derivatives[:, k], slope, atol=1e-4 * np.abs(slope).max())
     noise = 1e-2 * stream(1, "e").standard_normal((len(recording), 3))
     moved = problem_of(recording.with_readings(recording.readings + noise * recording.sigma()))
-    change = mean_rows(moved, moved.at(at)).residual - rows.residual
-    linear = rows.by_noise[:, : noise.size] @ noise.ravel()
+    change = mean_deviation_rows(moved, moved.distances_at(at)).residuals - rows.residuals
+    linear = rows.noise_derivatives[:, : noise.size] @ noise.ravel()
     assert np.allclose(change, linear, atol=1e-3 * np.abs(linear).max())
 
 
 @pytest.mark.parametrize("method", ["distance", "distance-l1"])
 def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
-    recording = make(drawn(misalignment(), 2, 2))
+    recording = make(drawn(misalignment_construction(), 2, 2))
     found = calibrate_distance(recording, method=method)
     power = 2 if method == "distance" else 1
-    least = equation_9(recording, found.values[0], power)
-    left = [np.array([c.combination.get(n, 0.0) for n in found.names]) for c in found.undetermined]
+    least = equation_9(recording, found.estimates[0], power)
+    left = [np.array([c.combination.get(n, 0.0) for n in found.instrument_parameter_names]) for c in found.undetermined]
     assert left  # one face: some combinations are left alone
     rng = stream(3, "push")
     for _ in range(5):
@@ -90,26 +90,26 @@ def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
         for direction in left:
             unit = direction / np.linalg.norm(direction)
             push -= unit * (unit @ push)
-        moved = found.values[0] + 0.05 * push * found.prior_sigma[0]
+        moved = found.estimates[0] + 0.05 * push * found.prior_sigma[0]
         assert equation_9(recording, moved, power) > least
 
 
 def test_undetermined_combinations_stay_at_zero_with_their_prior(make) -> None:
     found = calibrate_distance(make(np.zeros(16)))
     assert found.undetermined[0].gain < 0.1
-    direction = np.array([found.undetermined[0].combination.get(n, 0.0) for n in found.names])
+    direction = np.array([found.undetermined[0].combination.get(n, 0.0) for n in found.instrument_parameter_names])
     direction /= np.linalg.norm(direction)
     scaled = found.covariance / np.outer(found.prior_sigma, found.prior_sigma)
     assert direction @ scaled @ direction == pytest.approx(1.0, abs=0.05)
-    assert abs(direction @ (found.values[0] / found.prior_sigma[0])) < 0.1
+    assert abs(direction @ (found.estimates[0] / found.prior_sigma[0])) < 0.1
 
 
 def test_two_faces_determine_what_flips(make, drawn) -> None:
-    truth = drawn(misalignment(), 2, 3, share=2.0)
+    truth = drawn(misalignment_construction(), 2, 3, share=2.0)
     found = calibrate_distance(make(truth, faces=(1, 2)))
-    index = found.names.index("vertical-index")
+    index = found.instrument_parameter_names.index("vertical-index")
     assert found.sigma[0, index] < 0.2 * found.prior_sigma[0, index]
-    assert abs(found.values[0, index] - truth[index]) < 4 * found.sigma[0, index]
+    assert abs(found.estimates[0, index] - truth[index]) < 4 * found.sigma[0, index]
     assert np.all(found.sigma > 0.99 * calibrate_network(make(truth, faces=(1, 2))).sigma)
 
 
@@ -119,7 +119,7 @@ def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
     trials = 60
     score, total = [], []
     for trial in range(trials):
-        truth = drawn(misalignment(), 6, trial)
+        truth = drawn(misalignment_construction(), 6, trial)
         problem = problem_of(make(truth, trial=trial))
         found = solve_distances(problem, norm)
         error = found.unknowns - truth / problem.prior_sigma[0]
@@ -136,14 +136,14 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     """Errors of 40 adjusted clouds in the first station's frame, normalised by their stated covariance."""
     scores, wider, chances = [], [], []
     origin = make(np.zeros(16), noise=0.0)
-    true = calibrate_network(origin, advise=False).points
+    true = calibrate_network(origin, recommend_measurements=False).target_points
     for trial in range(40):
-        recording = make(drawn(misalignment(), 7, trial), trial=trial)
+        recording = make(drawn(misalignment_construction(), 7, trial), trial=trial)
         found = calibrate_distance(recording, advise=False)
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
-        scores.append((found.points - true) / sigma)
+        scores.append((found.target_points - true) / sigma)
         chances.append(found.fit.p_value)
-        best = calibrate_network(recording, advise=False, weigh=False).target_covariance
+        best = calibrate_network(recording, recommend_measurements=False, choose_correction=False).target_covariance
         wider.append(np.all(sigma**2 > 0.99 * np.einsum("tii->ti", best)))
     # Coordinates of one cloud err together: about 20 independent numbers a trial.
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.15)

@@ -8,13 +8,18 @@ from scipy.optimize import linprog
 
 import ltsim as lt
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances, solve_equation_9
+from ltsim.calibration.distance_solver import (
+    mean_deviation_rows,
+    pair_difference_rows,
+    solve_distances,
+    solve_equation_9,
+)
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.families import family
 from tests.networks import drawn, network
 
-BUILT = misalignment()
+BUILT = misalignment_construction()
 
 
 def problem_of(seed: int, faces: int = 1) -> DistanceProblem:
@@ -24,27 +29,27 @@ def problem_of(seed: int, faces: int = 1) -> DistanceProblem:
 
 def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
     """Gradient of eq. 9's sum of squares, over its usual size by chance at each unknown."""
-    rows = mean_rows(problem, problem.at(unknowns))
-    gradient = rows.by_unknown.T @ rows.residual
-    return gradient / (np.linalg.norm(rows.by_unknown, axis=0) * np.linalg.norm(rows.residual))
+    rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    gradient = rows.unknown_derivatives.T @ rows.residuals
+    return gradient / (np.linalg.norm(rows.unknown_derivatives, axis=0) * np.linalg.norm(rows.residuals))
 
 
 @pytest.mark.parametrize("seed", family(range(100), 10))
 def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
     problem = problem_of(seed)
     found = solve_equation_9(problem, "squares")
-    assert found.converged
+    assert found.has_converged
     assert np.max(np.abs(slope(problem, found.unknowns))) < 1e-7
-    assert found.objective < solve_distances(problem, "squares").objective
+    assert found.objective_value < solve_distances(problem, "squares").objective_value
 
 
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
     """Largest component of the smallest subgradient of the absolute values: rows that are met pull as they like."""
-    rows = pair_rows(problem, problem.at(unknowns))
-    scaled = rows.by_unknown / np.abs(rows.by_unknown).sum(axis=0)
-    met = np.argsort(np.abs(rows.residual))[: 2 * len(unknowns)]
-    rest = np.setdiff1d(np.arange(len(rows.residual)), met)
-    pull, free = np.sign(rows.residual[rest]) @ scaled[rest], scaled[met].T
+    rows = pair_difference_rows(problem, problem.distances_at(unknowns))
+    scaled = rows.unknown_derivatives / np.abs(rows.unknown_derivatives).sum(axis=0)
+    met = np.argsort(np.abs(rows.residuals))[: 2 * len(unknowns)]
+    rest = np.setdiff1d(np.arange(len(rows.residuals)), met)
+    pull, free = np.sign(rows.residuals[rest]) @ scaled[rest], scaled[met].T
     size = len(unknowns)
     matrix = np.block([[free, -np.ones((size, 1))], [-free, -np.ones((size, 1))]])
     cost = np.concatenate([np.zeros(len(met)), [1.0]])
@@ -56,10 +61,10 @@ def check_absolute(seed: int) -> None:
     problem = problem_of(seed)
     found = solve_equation_9(problem, "absolute")
     truncated = solve_distances(problem, "absolute")
-    assert found.converged
+    assert found.has_converged
     assert least_subgradient(problem, found.unknowns) < 1e-6
     assert least_subgradient(problem, truncated.unknowns) > 1e-4
-    assert found.objective < truncated.objective
+    assert found.objective_value < truncated.objective_value
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -76,16 +81,16 @@ def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) 
 @pytest.mark.parametrize("norm", family(["squares", "absolute"]))
 def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -> None:
     problem, box = problem_of(3), 0.8
-    found = solve_equation_9(problem, norm, box=box)
+    found = solve_equation_9(problem, norm, bound_in_prior_sigmas=box)
     assert np.max(np.abs(found.unknowns)) <= box + 1e-9
     assert np.any(np.abs(found.unknowns) > box - 1e-6)
-    assert found.objective >= solve_equation_9(problem, norm).objective
+    assert found.objective_value >= solve_equation_9(problem, norm).objective_value
     rng = np.random.default_rng(1)
-    rows = mean_rows if norm == "squares" else pair_rows
+    rows = mean_deviation_rows if norm == "squares" else pair_difference_rows
     for _ in range(20):
         near = np.clip(found.unknowns + 1e-3 * rng.standard_normal(16), -box, box)
-        left = rows(problem, problem.at(near)).residual
-        assert (left @ left if norm == "squares" else np.abs(left).sum()) >= found.objective * (1 - 1e-9)
+        left = rows(problem, problem.distances_at(near)).residuals
+        assert (left @ left if norm == "squares" else np.abs(left).sum()) >= found.objective_value * (1 - 1e-9)
 
 
 def test_both_are_reported() -> None:
@@ -96,4 +101,4 @@ def test_both_are_reported() -> None:
     assert whole.method == "equation-9"
     assert np.all(whole.sigma > 0)
     boxed = lt.calibrate(recording, method="equation-9", box=1.0, advise=False)
-    assert np.all(np.abs(boxed.values) <= boxed.prior_sigma * (1 + 1e-9))
+    assert np.all(np.abs(boxed.estimates) <= boxed.prior_sigma * (1 + 1e-9))

@@ -12,11 +12,11 @@ from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.station_settling import StationSettling
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from tests.networks import drawn, network, with_effect
 
@@ -26,7 +26,7 @@ RATE = 40e-6 / 3600
 
 @pytest.fixture(scope="module")
 def drifting() -> Recording:
-    recording = network(faces=2, seed=5, values=drawn(misalignment(), 5))[0]
+    recording = network(faces=2, seed=5, values=drawn(misalignment_construction(), 5))[0]
     readings = recording.readings + recording.sigma() * stream(5, "beside").standard_normal(recording.readings.shape)
     there = recording.station == 2
     clock = recording.time - recording.time[there].min()
@@ -38,14 +38,14 @@ def drifting() -> Recording:
 def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
     plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
     (effect,) = found.effects
-    assert (effect.effect, effect.where, effect.freedom) == ("index-drift", "S3", 1)
+    assert (effect.effect, effect.place_text, effect.n_distinguishable_parameters) == ("index-drift", "S3", 1)
     rate, law = effect.parameters
     assert rate.unit == "urad/h" and law.value == "visit"
     assert isinstance(rate.value, float) and rate.sigma is not None
     assert abs(rate.value - 1e6 * 3600 * RATE) < 4 * rate.sigma < 0.5 * rate.value
     assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
     assert effect.p_value < 1e-6
-    assert effect.tried == (1 if "law" in wanted else effect.tried)
+    assert effect.n_candidates == (1 if "law" in wanted else effect.n_candidates)
     assert "chi-square falls by" in str(found)
 
 
@@ -64,7 +64,12 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
     )
     found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
     (law,), (effect,) = found.effects, named.effects
-    assert (law.effect, law.where, law.freedom, law.tried) == ("vertical index ~ station-time", "S3", 1, 1)
+    assert (law.effect, law.place_text, law.n_distinguishable_parameters, law.n_candidates) == (
+        "vertical index ~ station-time",
+        "S3",
+        1,
+        1,
+    )
     (_, swing), rate = law.parameters, effect.parameters[0]
     hours = drifting.time[drifting.station == 2].max() / 3600 - drifting.time[drifting.station == 2].min() / 3600
     assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
@@ -78,7 +83,7 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
 def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
     words = "vertical index ~ station-time, in its own way at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
-    assert (law.effect, law.where, law.freedom) == (words, "", len(drifting.stations))
+    assert (law.effect, law.place_text, law.n_distinguishable_parameters) == (words, "", len(drifting.stations))
     assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
 
 
@@ -87,13 +92,13 @@ def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> N
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
     swing = next(p for p in curve.parameters if p.name == "swing")
     assert swing.sigma is not None and isinstance(swing.value, float)
-    assert swing.value > 4 * swing.sigma and curve.freedom > 3
+    assert swing.value > 4 * swing.sigma and curve.n_distinguishable_parameters > 3
     assert [p.name for p in moved.parameters] == ["rms", "swing along x", "swing along y", "swing along z"]
 
 
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
-    assert unaimed.effects[0].freedom == 0
+    assert unaimed.effects[0].n_distinguishable_parameters == 0
     assert "it was not estimated" in unaimed.effects[0].sentence
 
 
@@ -136,7 +141,7 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
     ],
 )
 def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
-    truth = getattr(true, true.shape[0].name) / FACTOR[true.shape[0].unit]
+    truth = getattr(true, true.shape_parameters[0].name) / SI_PER_UNIT[true.shape_parameters[0].unit]
     misses = []
     for seed in range(40):
         found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
@@ -154,8 +159,8 @@ def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drif
     assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
     told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
     assert found.adjustment is not None
-    state, spread = found.adjustment.state.extra, np.sqrt(np.diag(found.adjustment.extra_covariance))
-    unit = [FACTOR[p.unit] for p in told]
+    state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.extra_covariance))
+    unit = [SI_PER_UNIT[p.unit] for p in told]
     assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
     assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)
     stated = found.effects[0].parameters[-1]
@@ -174,10 +179,10 @@ def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> N
         parameters=["beam-tilt", "vertical-index"],
         advise=False,
     )
-    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.held.any()
+    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.is_fixed.any()
     told, adjusted = found.effects[0].parameters, found.adjustment
     assert adjusted is not None
-    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra, rel=1e-3, abs=1e-9)
+    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra_parameters, rel=1e-3, abs=1e-9)
     for one, value, least in zip(told, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
         assert abs(one.value - value) < 4 * one.sigma
         assert least < one.sigma < 10 * least

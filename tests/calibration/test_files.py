@@ -17,13 +17,13 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Instrument, Setup, Station
 
 
 @pytest.fixture(scope="module")
 def calibration(make, drawn):
-    return calibrate_network(make(drawn(misalignment(), 3, 0), faces=(1, 2)), advise=False)
+    return calibrate_network(make(drawn(misalignment_construction(), 3, 0), faces=(1, 2)), recommend_measurements=False)
 
 
 def test_keys_and_units_of_the_file(calibration, tmp_path: Path) -> None:
@@ -39,9 +39,9 @@ def test_keys_and_units_of_the_file(calibration, tmp_path: Path) -> None:
     assert (content["method"], content["construction"]) == ("network", "misalignment")
     assert {"chi2", "dof", "sigma0", "p_value", "iterations", "status"} <= set(content["fit"])
     tilt = next(p for p in content["parameters"] if p["name"] == "beam-tilt")
-    at = calibration.names.index("beam-tilt")
+    at = calibration.instrument_parameter_names.index("beam-tilt")
     assert tilt["unit"] == "urad"
-    assert tilt["value"] == pytest.approx(calibration.values[0, at] / MICRORADIAN)
+    assert tilt["value"] == pytest.approx(calibration.estimates[0, at] / MICRORADIAN)
     assert tilt["prior_sigma"] == pytest.approx(14.54, abs=0.01)
     assert np.sqrt(content["covariance"][at][at]) == pytest.approx(tilt["sigma"])
     station = content["stations"][0]
@@ -55,11 +55,11 @@ def test_tables(calibration, tmp_path: Path) -> None:
     write_calibration(calibration, tmp_path)
     targets = list(csv.DictReader((tmp_path / "targets.csv").read_text().splitlines()))
     assert list(targets[0]) == ["target", "x_mm", "y_mm", "z_mm", "sigma_x_mm", "sigma_y_mm", "sigma_z_mm"]
-    assert float(targets[3]["y_mm"]) == pytest.approx(1e3 * calibration.points[3, 1], abs=1e-6)
+    assert float(targets[3]["y_mm"]) == pytest.approx(1e3 * calibration.target_points[3, 1], abs=1e-6)
     rows = list(csv.DictReader((tmp_path / "residuals.csv").read_text().splitlines()))
     wanted = "row station target face repeat observable residual unit redundancy w"
     assert list(rows[0]) == wanted.split()
-    assert len(rows) == int(calibration.adjustment.problem.use.sum())
+    assert len(rows) == int(calibration.adjustment.problem.used_readings.sum())
     assert (rows[0]["row"], rows[0]["observable"], rows[0]["unit"]) == ("1", "distance", "mm")
     assert rows[1]["unit"] == "arcsec"
     assert float(rows[0]["residual"]) == pytest.approx(1e3 * calibration.adjustment.residuals[0, 0], rel=1e-4)
@@ -68,10 +68,10 @@ def test_tables(calibration, tmp_path: Path) -> None:
 def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
     write_calibration(calibration, tmp_path)
     again = read_calibration(tmp_path / "calibration.json")
-    assert np.allclose(again.values, calibration.values, rtol=1e-12, atol=0)
+    assert np.allclose(again.estimates, calibration.estimates, rtol=1e-12, atol=0)
     scale = np.sqrt(np.diag(calibration.covariance))
     assert np.allclose(again.covariance / np.outer(scale, scale), calibration.covariance / np.outer(scale, scale))
-    assert again.names == calibration.names
+    assert again.instrument_parameter_names == calibration.instrument_parameter_names
     assert again.fit == calibration.fit
     assert [c.gain for c in again.undetermined] == [c.gain for c in calibration.undetermined]
 
@@ -117,10 +117,10 @@ def test_what_a_file_lacks_is_zero_and_said(calibration, tmp_path: Path) -> None
     (tmp_path / "calibration.json").write_text(json.dumps(content))
     found = read_calibration(tmp_path)
     rest = np.setdiff1d(np.arange(16), kept)
-    assert found.names == calibration.names
-    assert np.allclose(found.values[0, kept], calibration.values[0, kept], rtol=1e-12)
+    assert found.instrument_parameter_names == calibration.instrument_parameter_names
+    assert np.allclose(found.estimates[0, kept], calibration.estimates[0, kept], rtol=1e-12)
     assert np.allclose(found.sigma[0, kept], calibration.sigma[0, kept], rtol=1e-9)
-    assert np.all(found.values[0, rest] == 0)
+    assert np.all(found.estimates[0, rest] == 0)
     assert np.array_equal(found.sigma[0, rest], found.prior_sigma[0, rest])
     (note,) = found.warnings
     assert "14 parameters are not in the file and taken as zero: range-scale, " in note
@@ -132,9 +132,9 @@ def test_a_file_written_by_hand_needs_name_value_and_unit(tmp_path: Path) -> Non
     rows = [{"name": "beam-tilt", "value": 5.9, "unit": "urad"}]
     (tmp_path / "hand.json").write_text(json.dumps(text | {"parameters": rows}))
     found = read_calibration(tmp_path / "hand.json")
-    at = found.names.index("beam-tilt")
-    assert found.values[0, at] == pytest.approx(5.9e-6)
-    assert np.count_nonzero(found.values) == 1
+    at = found.instrument_parameter_names.index("beam-tilt")
+    assert found.estimates[0, at] == pytest.approx(5.9e-6)
+    assert np.count_nonzero(found.estimates) == 1
     assert found.sigma[0, at] == found.prior_sigma[0, at]
     assert "15 parameters" in found.warnings[0]
 
@@ -157,26 +157,26 @@ def test_nothing_half_written(calibration, tmp_path: Path) -> None:
 
 
 def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
-    truth = drawn(misalignment(), 3, 1)
+    truth = drawn(misalignment_construction(), 3, 1)
     recording = make(truth, faces=(1, 2), noise=0.0)
-    found = calibrate_network(make(truth, faces=(1, 2)), advise=False)
-    exact = found.with_changes(values=truth[None], correction=None)
+    found = calibrate_network(make(truth, faces=(1, 2)), recommend_measurements=False)
+    exact = found.with_changes(estimates=truth[None], correction=None)
     corrected = correct(recording, exact)
     ideal = make(np.zeros(16), faces=(1, 2), noise=0.0)
     assert np.abs(corrected.readings - ideal.readings).max() < 1e-12
     assert corrected.setup.instrument.corrected
     assert not recording.setup.instrument.corrected
     # Corrected once, nothing is left to find.
-    again = calibrate_network(corrected, advise=False)
-    assert np.abs(again.values / again.sigma).max() < 0.01
+    again = calibrate_network(corrected, recommend_measurements=False)
+    assert np.abs(again.estimates / again.sigma).max() < 0.01
 
 
 def test_a_row_without_range_is_corrected_where_its_target_is(make, drawn) -> None:
-    truth = drawn(misalignment(), 3, 2)
+    truth = drawn(misalignment_construction(), 3, 2)
     recording = make(truth, faces=(1,))
     readings = recording.readings.copy()
     readings[5, 0] = np.nan
-    found = calibrate_network(recording, advise=False)
+    found = calibrate_network(recording, recommend_measurements=False)
     whole, partly = correct(recording, found), correct(recording.with_readings(readings), found)
     assert np.isnan(partly.readings[5, 0])
     assert np.abs(partly.readings[5, 1:] - whole.readings[5, 1:]).max() < 1e-9
@@ -188,7 +188,7 @@ def test_a_row_without_range_is_corrected_where_its_target_is(make, drawn) -> No
 
 
 def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) -> None:
-    first, second = drawn(misalignment(), 3, 3), drawn(misalignment(), 3, 4)
+    first, second = drawn(misalignment_construction(), 3, 3), drawn(misalignment_construction(), 3, 4)
     one, two = make(first, faces=(1, 2), trial=1), make(second, faces=(1, 2), trial=1)
     later = one.station >= 2
     setup = Setup(
@@ -197,17 +197,17 @@ def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) 
         stations={name: Station(instrument="AABB"[i]) for i, name in enumerate(one.stations)},
     )
     both = one.replace(setup=setup, readings=np.where(later[:, None], two.readings, one.readings))
-    found = calibrate_network(both, advise=False)
-    assert found.values.shape == (2, 16)
+    found = calibrate_network(both, recommend_measurements=False)
+    assert found.estimates.shape == (2, 16)
     truth = np.stack([first, second])
-    assert np.abs((found.values - truth) / found.sigma).max() < 4.5
+    assert np.abs((found.estimates - truth) / found.sigma).max() < 4.5
     write_calibration(found, tmp_path)
     again = read_calibration(tmp_path)
     assert again.instruments == ("A", "B")
-    assert np.allclose(again.values, found.values)
+    assert np.allclose(again.estimates, found.estimates)
     applied = again.values_for(both)
-    assert np.allclose(applied[later], found.values[1])
-    with pytest.raises(RecordError, match="not among those of the calibration: A, B"):
+    assert np.allclose(applied[later], found.estimates[1])
+    with pytest.raises(RecordError, match=r"is not in the calibration \(A, B\)"):
         again.values_for(one)
 
 
@@ -216,7 +216,7 @@ def test_adjustment_without_parameters_is_written_too(make, tmp_path: Path) -> N
     content = json.loads((tmp_path / "calibration.json").read_text())
     assert content["parameters"] == []
     assert "after" not in content["criteria"]["distance"]
-    assert read_calibration(tmp_path).values.shape == (1, 0)
+    assert read_calibration(tmp_path).estimates.shape == (1, 0)
 
 
 def test_outliers_are_listed_and_gross_rows_left_out(make) -> None:
@@ -225,7 +225,7 @@ def test_outliers_are_listed_and_gross_rows_left_out(make) -> None:
     readings[16, 0] += 80e-6
     swap = readings[[3, 4]]
     readings[[3, 4]] = swap[::-1]
-    found = calibrate_network(recording.with_readings(readings), advise=False)
+    found = calibrate_network(recording.with_readings(readings), recommend_measurements=False)
     gross = {(o.row, o.gross) for o in found.outliers if o.gross}
     assert gross == {(4, True), (5, True)}
     single = next(o for o in found.outliers if not o.gross)
@@ -252,19 +252,19 @@ def test_harmonics_of_a_calibration(calibration) -> None:
         "elevation-eccentricity",
         "elevation-second-order",
     }
-    at = calibration.names.index("azimuth-eccentricity-cos")
+    at = calibration.instrument_parameter_names.index("azimuth-eccentricity-cos")
     wave = found["azimuth-eccentricity"]
     amplitude = 1e-6 * wave.amplitude
     assert wave.unit == "urad"
-    assert amplitude == pytest.approx(np.hypot(*calibration.values[0, at : at + 2]))
+    assert amplitude == pytest.approx(np.hypot(*calibration.estimates[0, at : at + 2]))
     assert wave.phase_deg is not None
     angle = np.linspace(-3, 3, 7)
-    series = calibration.values[0, at] * np.cos(angle) + calibration.values[0, at + 1] * np.sin(angle)
+    series = calibration.estimates[0, at] * np.cos(angle) + calibration.estimates[0, at + 1] * np.sin(angle)
     assert np.allclose(amplitude * np.cos(angle - np.radians(wave.phase_deg)), series)
 
 
 def test_points_do_not_move_by_correction(calibration, make, drawn) -> None:
-    recording = make(drawn(misalignment(), 3, 5))
+    recording = make(drawn(misalignment_construction(), 3, 5))
     corrected = correct(recording, calibration)
-    values = calibration.values[0]
-    assert np.allclose(from_polar(corrected.readings), misalignment().point(recording.readings, values))
+    values = calibration.estimates[0]
+    assert np.allclose(from_polar(corrected.readings), misalignment_construction().point(recording.readings, values))

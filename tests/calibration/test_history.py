@@ -7,27 +7,27 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
-from ltsim.calibration.events import can_tell, events
+from ltsim.calibration.events import has_enough_steps, significant_steps
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.schema import Fit
+from ltsim.calibration.schema import FitEntry
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.recordings import write
 
-CONSTRUCTION = misalignment()
-SIZE = CONSTRUCTION.size
+CONSTRUCTION = misalignment_construction()
+SIZE = CONSTRUCTION.n_parameters
 PRIOR = np.array([p.prior_sigma for p in CONSTRUCTION.parameters])
 SILENT = 3
 """The first parameters of the synthetic calibrations are those their readings do not touch."""
-FIT = Fit(chi2=1, dof=1, sigma0=1, p_value=0.5, iterations=1, status="")
+FIT = FitEntry(chi2=1, dof=1, sigma0=1, p_value=0.5, iterations=1, status="")
 
 
 def estimate(truth, design, rng, prior=PRIOR):
@@ -35,7 +35,7 @@ def estimate(truth, design, rng, prior=PRIOR):
     told = design.T @ (design @ truth + rng.standard_normal(len(design)))
     covariance = np.linalg.inv(design.T @ design + np.diag(prior**-2))
     arrays = CalibrationArrays(CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance)
-    return Calibration.of(arrays, method="network", fit=FIT)
+    return Calibration.from_arrays(arrays, method="network", fit=FIT)
 
 
 def designs(rng, count, strength=8.0):
@@ -55,23 +55,23 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
     for trial in range(150):
         rng = stream(1, "unchanged", trial)
         truth = PRIOR * rng.standard_normal(SIZE)
-        history = CalibrationSeries.of(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
+        history = CalibrationSeries.from_labelled(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
         change = history.change(0, 2)
         joint.append(change.p_value)
         single.append([p.p_value for p in change.parameters[SILENT + 1 :: 3]])
-        constant.append(history.constancy().p_value)
-        assert change.dof == history.constancy().dof / 2
+        constant.append(history.constancy_test().p_value)
+        assert change.dof == history.constancy_test().dof / 2
     for values in (joint, np.ravel(single), constant):
         assert stats.kstest(np.ravel(values), "uniform").pvalue > 1e-3
 
 
 def test_what_no_reading_touches_is_neither_changed_nor_counted():
     rng = stream(2, "silent")
-    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
+    history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
     change = history.change(0, 1)
     assert change.dof <= SIZE - SILENT
     assert [p.p_value for p in change.parameters[:SILENT]] == pytest.approx([1.0] * SILENT)
-    assert history.constancy(0).dof == 0
+    assert history.constancy_test(0).dof == 0
     assert history.population.spread[:SILENT] == pytest.approx(PRIOR[:SILENT])
 
 
@@ -81,13 +81,13 @@ def test_a_changed_parameter_is_found_and_named():
     later = truth.copy()
     later[5] += 3.0 * PRIOR[5]
     drawn = designs(rng, 4, strength=40.0)
-    history = CalibrationSeries.of(
+    history = CalibrationSeries.from_labelled(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
-    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.names[5],), ()]
+    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
     assert history.changes()[1].p_value < 1e-10
-    assert history.constancy(5).p_value < 1e-6
-    assert history.constancy(6).p_value > 1e-3
+    assert history.constancy_test(5).p_value < 1e-6
+    assert history.constancy_test(6).p_value > 1e-3
 
 
 @pytest.mark.long
@@ -97,7 +97,7 @@ def test_three_calibrations_do_not_look_more_alike_than_they_are():
     for _ in range(40):
         mean, (design,) = rng.standard_normal(SIZE) * PRIOR, designs(rng, 1, strength=40.0)
         few = [estimate(mean + 0.5 * PRIOR * rng.standard_normal(SIZE), design, rng) for _ in range(3)]
-        population = CalibrationSeries.of([(str(k), c) for k, c in enumerate(few)]).population
+        population = CalibrationSeries.from_labelled([(str(k), c) for k, c in enumerate(few)]).population
         ratios.append((population.spread[SILENT:-2] / (0.5 * PRIOR[SILENT:-2])) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
 
@@ -107,26 +107,26 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
     mean, spread = 0.5 * PRIOR * rng.standard_normal(SIZE), PRIOR * np.where(np.arange(SIZE) % 2, 0.5, 0.02)
     truths = mean + spread * rng.standard_normal((41, SIZE))
     calibrations = [estimate(t, d, rng) for t, d in zip(truths, designs(rng, 41), strict=True)]
-    history = CalibrationSeries.of(labelled(calibrations[:40]))
+    history = CalibrationSeries.from_labelled(labelled(calibrations[:40]))
     told = slice(SILENT, SIZE - 2)
     found = history.population
     assert np.abs((found.mean - mean) / PRIOR)[told] == pytest.approx(0.0, abs=0.25)
     assert found.spread[told][1::2] / PRIOR[told][1::2] == pytest.approx(0.02, abs=0.1)
     assert found.spread[told][::2] / PRIOR[told][::2] == pytest.approx(0.5, abs=0.25)
-    errors = np.array([history.as_prior_of(c).values[0] - truths[40] for c in calibrations[40:]])
-    alone = np.array([c.values[0] - truths[40] for c in calibrations[40:]])
+    errors = np.array([history.with_population_prior(c).estimates[0] - truths[40] for c in calibrations[40:]])
+    alone = np.array([c.estimates[0] - truths[40] for c in calibrations[40:]])
     assert np.sum((errors / PRIOR)[:, told] ** 2) < 0.7 * np.sum((alone / PRIOR)[:, told] ** 2)
 
 
 def test_json_holds_every_test_in_the_units_of_a_person():
     rng = stream(5, "json")
-    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
-    content = json.loads(History.of(history).text())
+    history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
+    content = json.loads(History.from_series(history).text())
     assert content["format"] == "ltsim-history/1"
     assert [c["label"] for c in content["calibrations"]] == ["c0", "c1", "c2"]
     k = 4
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
-    assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.factor)
+    assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.si_per_display_unit)
     assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
 
 
@@ -135,7 +135,7 @@ def walked(trial, *, blow=0.0):
     rng = stream(6, "walk", trial)
     truths = PRIOR * rng.standard_normal(SIZE) + 0.5 * PRIOR * rng.standard_normal((12, SIZE))
     truths[8:, 6] += blow * PRIOR[6]
-    return CalibrationSeries.of(
+    return CalibrationSeries.from_labelled(
         labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, 12, 40.0), strict=True)])
     )
 
@@ -144,17 +144,17 @@ def test_what_moves_from_day_to_day_is_no_event():
     """The joint test sees every step; hardly one in a hundred histories has an event that is none."""
     histories = [walked(trial) for trial in range(12)]
     assert all(change.p_value < 0.01 for change in histories[0].changes())
-    assert sum(bool(events(history)) for history in histories) <= 1  # two by chance: 0.6 %
+    assert sum(bool(significant_steps(history)) for history in histories) <= 1  # two by chance: 0.6 %
 
 
 def test_a_blow_stands_out_and_is_dated():
     for trial in range(2):
         history = walked(trial, blow=12.0)
-        found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].factor
-        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]
+        found, size = significant_steps(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
+        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.parameter_names[6])]
         assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
-        assert found[0].usual == pytest.approx(0.7 * size, rel=0.5)
-        entry = History.of(history).events[0]
+        assert found[0].usual_step_sigma == pytest.approx(0.7 * size, rel=0.5)
+        entry = History.from_series(history).events[0]
         assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
 
 
@@ -169,20 +169,20 @@ def wandered(trial, *, blow=0.0, dated=True):
     truths = PRIOR * np.cumsum(np.vstack([np.zeros(SIZE), steps]), axis=0)
     truths[7:, 6] += blow * PRIOR[6]
     named = labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, len(DATES), 40.0), strict=True)])
-    return CalibrationSeries.of(named, dates=[f"2026-{d}" for d in DATES] if dated else None)
+    return CalibrationSeries.from_labelled(named, dates=[f"2026-{d}" for d in DATES] if dated else None)
 
 
 def test_half_a_year_may_move_what_a_day_may_not():
     """Without dates the long step is taken for an event; with them it is one as often as it should be."""
-    undated = sum(bool(events(wandered(trial, dated=False))) for trial in range(8))
-    dated = sum(bool(events(wandered(trial))) for trial in range(8))
+    undated = sum(bool(significant_steps(wandered(trial, dated=False))) for trial in range(8))
+    dated = sum(bool(significant_steps(wandered(trial))) for trial in range(8))
     assert undated >= 6
     assert dated <= 1
 
 
 def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
-    found = events(wandered(0, blow=12.0))
-    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.names[6])]
+    found = significant_steps(wandered(0, blow=12.0))
+    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.parameter_names[6])]
 
 
 @pytest.mark.parametrize(
@@ -197,21 +197,21 @@ def test_wrong_dates_get_a_sentence(dates, words):
     rng = stream(7, "few")
     named = labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)])
     with pytest.raises(RecordError, match=words):
-        CalibrationSeries.of(named, dates=dates)
+        CalibrationSeries.from_labelled(named, dates=dates)
 
 
 def test_few_calibrations_tell_no_event():
     rng = stream(7, "few")
-    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
-    assert not can_tell(history)
-    assert not events(history)
+    history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
+    assert not has_enough_steps(history)
+    assert not significant_steps(history)
 
 
 def test_one_calibration_alone_is_refused():
     rng = stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     with pytest.raises(RecordError, match="at least two"):
-        CalibrationSeries.of([("a", calibration)])
+        CalibrationSeries.from_labelled([("a", calibration)])
 
 
 def test_a_parameter_without_uncertainty_is_refused():
@@ -219,7 +219,7 @@ def test_a_parameter_without_uncertainty_is_refused():
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     sure = calibration.with_changes(covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
     with pytest.raises(RecordError, match="no uncertainty of range-offset"):
-        CalibrationSeries.of([("a", calibration), ("b", sure)])
+        CalibrationSeries.from_labelled([("a", calibration), ("b", sure)])
 
 
 @pytest.fixture(scope="module")
@@ -233,7 +233,7 @@ def before_and_after(make):
 
 def test_the_command_follows_recordings_and_calibrations(before_and_after, tmp_path, capsys):
     first, second, third = before_and_after
-    write_calibration(calibrate_network(first, advise=False), tmp_path / "january")
+    write_calibration(calibrate_network(first, recommend_measurements=False), tmp_path / "january")
     write(second, tmp_path / "may")
     write(third, tmp_path / "september")
     paths = [str(tmp_path / name) for name in ("january", "may", "september")]
@@ -260,8 +260,8 @@ def test_half_differences_are_those_of_the_parameters(make):
     values[CONSTRUCTION.index("vertical-index")] = 12e-6
     values[CONSTRUCTION.index("transit-offset")] = 20e-6
     recording = make(values, faces=(1, 2), noise=0.0)
-    raw = two_face(recording)
-    assert np.abs(raw.half[:, 2]) == pytest.approx(12e-6, abs=12e-6)
-    assert raw.half[:, 0] == pytest.approx(-20e-6 * np.cos(raw.place[:, 2]), rel=1e-3)
-    assert two_face(recording, CONSTRUCTION, values).rms == pytest.approx(0.0, abs=1e-10)
-    assert two_face(recording, ideal()).rms == pytest.approx(raw.rms)
+    raw = two_face_pairs(recording)
+    assert np.abs(raw.half_differences[:, 2]) == pytest.approx(12e-6, abs=12e-6)
+    assert raw.half_differences[:, 0] == pytest.approx(-20e-6 * np.cos(raw.front_face_readings[:, 2]), rel=1e-3)
+    assert two_face_pairs(recording, CONSTRUCTION, values).rms == pytest.approx(0.0, abs=1e-10)
+    assert two_face_pairs(recording, ideal_construction()).rms == pytest.approx(raw.rms)

@@ -33,9 +33,9 @@ def coordinate_after(calibration: Calibration) -> float:
 def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
     """Over the angles of the recording, at most a third of the true error is left."""
     _, truth, calibration = calibrated()
-    applied = next(entry for entry in truth.applied if isinstance(entry.effect, SmrIncidence))
+    applied = next(entry for entry in truth.applied_effects if isinstance(entry.effect, SmrIncidence))
     sightings = calibration.adjustment.sightings
-    true = applied.effect.shift(sightings, np.array(applied.values))[:, 0]
+    true = applied.effect.reading_change(sightings, np.array(applied.parameter_values))[:, 0]
     estimated = (SmrIncidence().design(sightings) @ calibration.applied_reflectors[""])[:, 0]
     rest = estimated - true - np.mean(estimated - true)
     assert np.std(rest) < 0.33 * np.std(true)
@@ -57,7 +57,7 @@ def test_criteria_of_the_calibration_are_those_of_evaluate() -> None:
 
 def test_no_correction_takes_nothing_out() -> None:
     recording, _, calibration = calibrated()
-    nothing = calibration.with_changes(applied_values=np.zeros_like(calibration.values))
+    nothing = calibration.with_changes(applied_values=np.zeros_like(calibration.estimates))
     assert nothing.applied_reflectors == {}
     np.testing.assert_allclose(lt.correct(recording, nothing).readings, recording.readings, atol=1e-15)
 

@@ -9,34 +9,34 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.calibration.evidence import determined
+from ltsim.calibration.evidence import determined_combinations
 from ltsim.cli.main import run
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network
 
 
 def test_a_sum_that_is_known_is_told_with_its_deviation() -> None:
-    parameters = [p for p in misalignment().parameters if p.unit == "urad"][:3]
+    parameters = [p for p in misalignment_construction().parameters if p.unit == "urad"][:3]
     truth = np.array([3e-6, -1e-6, 2e-6])
     spread = np.eye(3) * 1e-12
     along = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
     spread -= (1e-12 - 1e-16) * np.outer(along, along)
-    (told,) = determined(parameters, truth, spread)
+    (told,) = determined_combinations(parameters, truth, spread)
     assert set(told.combination) == {p.name for p in parameters[:2]}
     np.testing.assert_allclose(list(told.combination.values()), [1.0, 1.0], rtol=1e-6)
     np.testing.assert_allclose([told.value, told.sigma], [2.0, 0.01 * np.sqrt(2.0)], rtol=1e-6)
 
 
 def test_parameters_that_are_known_alone_make_no_combination() -> None:
-    parameters = misalignment().parameters[:4]
-    assert not determined(parameters, np.zeros(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-12)
+    parameters = misalignment_construction().parameters[:4]
+    assert not determined_combinations(parameters, np.zeros(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-12)
 
 
 @pytest.mark.long
 def test_a_single_face_tells_the_index_with_others_and_the_file_and_page_say_so(tmp_path: Path, capsys) -> None:
     recording, _ = network(faces=1, seed=6)
     found = lt.calibrate(recording)
-    names = list(found.construction.names)
+    names = list(found.construction.parameter_names)
     for told in found.determined:
         alone = min(found.sigma[0, names.index(name)] for name in told.combination)
         assert told.sigma is not None and told.sigma * 1e-6 < alone * 10
@@ -55,7 +55,7 @@ def test_what_is_told_is_as_certain_as_its_own_weights_make_it() -> None:
     found = lt.calibrate(recording)
     assert found.determined
     for told in found.determined:
-        weights = np.array([told.combination.get(name, 0.0) for name in found.construction.names])
-        factor = next(p.factor for p in found.construction.parameters if p.name in told.combination)
+        weights = np.array([told.combination.get(name, 0.0) for name in found.construction.parameter_names])
+        factor = next(p.si_per_display_unit for p in found.construction.parameters if p.name in told.combination)
         np.testing.assert_allclose(told.sigma, np.sqrt(weights @ found.covariance @ weights) / factor, rtol=1e-9)
-        np.testing.assert_allclose(told.value, weights @ found.values[0] / factor, rtol=1e-9)
+        np.testing.assert_allclose(told.value, weights @ found.estimates[0] / factor, rtol=1e-9)

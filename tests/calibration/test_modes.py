@@ -37,7 +37,7 @@ def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
     found = calibrate_network(read_recording(tmp_path))
     assert found.adjustment is not None
     sigma = float(np.sqrt(found.adjustment.extra_covariance[0, 0]))
-    assert found.adjustment.state.extra[0] == pytest.approx(STEP, abs=4 * sigma)
+    assert found.adjustment.state.extra_parameters[0] == pytest.approx(STEP, abs=4 * sigma)
     assert found.fit.p_value is not None and found.fit.p_value > 1e-3
     assert "range-mode" in found.notes[0]
     assert write_calibration(found, tmp_path / "out") is not None
@@ -52,7 +52,7 @@ def test_the_diagnosis_names_the_mode() -> None:
 def test_one_mode_has_one_zero() -> None:
     recording, _ = network(seed=2)
     one = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
-    assert "distance_mode" not in one.circumstances
+    assert "distance_mode" not in one.regressor_covariates
 
 
 @pytest.mark.long

@@ -10,35 +10,39 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.network import Network
-from ltsim.adjustment.remedies.undetermined import gains, simple_rotation, undetermined
+from ltsim.adjustment.remedies.network import PlannedNetwork
+from ltsim.adjustment.remedies.undetermined import (
+    gains_and_combinations,
+    rotate_to_simple_structure,
+    undetermined_combinations,
+)
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_conflict import log_odds
+from ltsim.calibration.prior_conflict import log_odds_of_errors
 from ltsim.core.errors import ModelError
 from ltsim.core.probability import P_CONSTANT, SIZE_PRIOR
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Prior, Station
 from tests.families import family
 
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:
-    truth = drawn(misalignment(), 1, 0)
+    truth = drawn(misalignment_construction(), 1, 0)
     found = calibrate_network(make(truth, faces=(1, 2), noise=0.0))
     assert found.fit.status == "converged"
     # A linear estimator with priors falls short of the truth by C P x exactly, and by nothing else.
     pulled = -found.covariance @ (truth / found.prior_sigma[0] ** 2)
-    assert np.allclose((found.values[0] - truth) / found.sigma[0], pulled / found.sigma[0], atol=0.01)
+    assert np.allclose((found.estimates[0] - truth) / found.sigma[0], pulled / found.sigma[0], atol=0.01)
 
 
 def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 1, 1, share=2.0))
+    recording = make(drawn(misalignment_construction(), 1, 1, share=2.0))
     found = calibrate_network(recording)
     plain = lt.adjust(recording)
     assert found.criteria is not None
     assert found.criteria.distance.improvement_percent > 40
-    assert plain.names == ()
+    assert plain.instrument_parameter_names == ()
     assert plain.fit.chi2 > 2 * found.fit.chi2
     assert plain.criteria is not None
     assert plain.criteria.distance.after is None
@@ -46,7 +50,7 @@ def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(m
 
 
 def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, drawn) -> None:
-    truth = drawn(misalignment(), 1, 2)
+    truth = drawn(misalignment_construction(), 1, 2)
     one, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
     worst = one.undetermined[0]
     assert worst.gain < 0.1
@@ -54,7 +58,7 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
     assert "both faces" in worst.cure
     assert len(two.undetermined) < len(one.undetermined)
     # The promise holds: along that combination the two-face recording has the gain that the cure named.
-    direction = np.array([worst.combination.get(name, 0.0) for name in one.names])
+    direction = np.array([worst.combination.get(name, 0.0) for name in one.instrument_parameter_names])
     direction /= np.linalg.norm(direction)
     scaled = two.covariance / np.outer(two.prior_sigma, two.prior_sigma)
     promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(")"))
@@ -62,15 +66,15 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
 
 
 def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> None:
-    construction = misalignment()
+    construction = misalignment_construction()
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
-    covariance, prior = Network.of(adjustment).parameter_covariance()
+    covariance, prior = PlannedNetwork.from_adjustment(adjustment).parameter_covariance()
     assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
     assert np.array_equal(prior, adjustment.problem.prior.sigma)
 
 
 def test_null_space_of_the_paper_chain_is_named(make) -> None:
-    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh())
+    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh_construction())
     silent = [c for c in found.undetermined if c.gain < 1e-6]
     alone = {next(iter(c.combination)) for c in silent if len(c.combination) == 1}
     without_effect = {f"J2.eZ_{s}" for s in ("c", "sin", "cos", "sin2", "cos2")}
@@ -81,17 +85,17 @@ def test_null_space_of_the_paper_chain_is_named(make) -> None:
 
 
 def test_both_constructions_agree_on_the_targets_of_two_faces(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 1, 4), faces=(1, 2))
-    first, second = calibrate_network(recording), calibrate_network(recording, dh())
+    recording = make(drawn(misalignment_construction(), 1, 4), faces=(1, 2))
+    first, second = calibrate_network(recording), calibrate_network(recording, dh_construction())
     sigma = np.sqrt(np.einsum("tii->ti", first.target_covariance))
-    assert np.abs((first.points - second.points) / sigma).max() < 0.2
+    assert np.abs((first.target_points - second.target_points) / sigma).max() < 0.2
 
 
 def test_gains_are_shares_of_the_prior_variance() -> None:
     prior = np.array([2.0, 1.0, 3.0])
     covariance = np.diag(prior**2 * [1.0, 0.04, 0.6])
-    assert np.allclose(gains(covariance, prior)[0], [0.0, 0.4, 0.96])
-    found = undetermined(covariance, prior)
+    assert np.allclose(gains_and_combinations(covariance, prior)[0], [0.0, 0.4, 0.96])
+    found = undetermined_combinations(covariance, prior)
     assert [list(d.coefficients(("a", "b", "c"))) for d in found] == [["a"], ["c"]]
     assert found[1].gain == pytest.approx(0.4)
 
@@ -99,25 +103,27 @@ def test_gains_are_shares_of_the_prior_variance() -> None:
 def test_simple_rotation_undoes_a_mixture() -> None:
     rng = np.random.default_rng(2)
     mixed = np.eye(9)[:, :4] @ np.linalg.qr(rng.standard_normal((4, 4)))[0]
-    simple = simple_rotation(mixed)
+    simple = rotate_to_simple_structure(mixed)
     assert np.allclose(np.sort(np.abs(simple).max(axis=0)), 1.0, atol=1e-6)
     assert np.allclose(simple.T @ simple, np.eye(4))
 
 
 def joint_covariance(adjustment, names=None) -> np.ndarray:
     """(3 T, 3 T) of all targets by inner constraints over some of them."""
-    at = adjustment.problem.unknowns.target.ravel()
-    whole = adjustment.factor.covariance_columns(np.eye(adjustment.problem.unknowns.size))[np.ix_(at, at)]
-    return adjustment.in_inner_datum(names).datum.transformed(whole[None], at[None])[0]
+    at = adjustment.problem.unknowns.target_columns.ravel()
+    whole = adjustment.factorised_normals.covariance_columns(np.eye(adjustment.problem.unknowns.n_columns))[
+        np.ix_(at, at)
+    ]
+    return adjustment.in_inner_datum(names).datum.transform_covariance(whole[None], at[None])[0]
 
 
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
-    adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
+    adjustment = adjust(make(drawn(misalignment_construction(), 1, 5)), misalignment_construction())
     unknowns, system = adjustment.problem.unknowns, adjustment.solution.system
-    rows = system.design[: -adjustment.problem.free.shape[1]]  # without the datum
+    rows = system.design[: -adjustment.problem.free_motions.shape[1]]  # without the datum
     # Dense: targets alone, everything else eliminated; the pseudo-inverse of a normal matrix is the datum of all.
-    at = unknowns.target.ravel()
-    rest = np.setdiff1d(np.arange(unknowns.size), at)
+    at = unknowns.target_columns.ravel()
+    rest = np.setdiff1d(np.arange(unknowns.n_columns), at)
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / scale
     left, spread, _ = np.linalg.svd(scaled[:, rest], full_matrices=False)
@@ -131,12 +137,12 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
     assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
-    motion = rigid_motion(adjustment.state.points - adjustment.state.points.mean(axis=0))
+    motion = rigid_motion_design(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
     assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
 
 
 def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
-    adjustment = adjust(make(drawn(misalignment(), 1, 6)), misalignment())
+    adjustment = adjust(make(drawn(misalignment_construction(), 1, 6)), misalignment_construction())
     chosen = np.array([0, 7, 13, 20])
     names = [adjustment.recording.targets[t] for t in chosen]
     inner, whole = joint_covariance(adjustment, names), joint_covariance(adjustment)
@@ -148,16 +154,16 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
 
 
 def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:
-    at, off, others = misalignment().names.index("range-offset"), [], 0
+    at, off, others = misalignment_construction().parameter_names.index("range-offset"), [], 0
     for seed in range(6):
-        truth = drawn(misalignment(), 26, seed)
+        truth = drawn(misalignment_construction(), 26, seed)
         truth[at] = 60e-6
-        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False)
+        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), recommend_measurements=False)
         told = [note for note in found.notes if "contradict" in note]
         assert told[0].startswith("range-offset is ")
         assert "declared prior of 10 um: the estimate follows the readings" in told[0]
         assert found.sigma[0, at] < 5e-6
-        off.append((found.values[0, at] - 60e-6) / found.sigma[0, at])
+        off.append((found.estimates[0, at] - 60e-6) / found.sigma[0, at])
         others += len(told) - 1
     assert np.sum(np.abs(off) > 2.0) <= 1
     assert abs(np.mean(off)) < 0.7
@@ -166,13 +172,15 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
 
 def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
     for seed in range(5):
-        found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False)
+        found = calibrate_network(
+            make(drawn(misalignment_construction(), 27, seed), trial=seed), recommend_measurements=False
+        )
         assert not [note for note in found.notes if "contradict" in note]
 
 
 def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_too_large(make, points) -> None:
     """A correction leaves 0.3 of the guarantee; the noise is told by the readings where they scatter less."""
-    scale, found = misalignment().names.index("range-scale"), []
+    scale, found = misalignment_construction().parameter_names.index("range-scale"), []
     ends = [(k, k + 12) for k in range(12)]
     lengths = [1e3 * float(np.linalg.norm(points[a] - points[b])) for a, b in ends]
     walls = [
@@ -190,19 +198,19 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         setup = recording.setup.model_copy(
             update={"instruments": own, "stations": stations, "gauge": Gauge(distance=tuple(walls))}
         )
-        one = calibrate_network(recording.replace(setup=setup), advise=False)
-        assert one.arrays.prior_rejected.sum(axis=0)[scale] == 2
-        assert one.arrays.prior_rejected.sum() == 2
+        one = calibrate_network(recording.replace(setup=setup), recommend_measurements=False)
+        assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
+        assert one.arrays.is_prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
         assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
-        found.append((one.values[:, scale] - 12e-6) / one.sigma[:, scale])
+        found.append((one.estimates[:, scale] - 12e-6) / one.sigma[:, scale])
     assert np.sqrt(np.mean(np.square(found))) < 1.8
 
 
 def test_a_constant_that_the_readings_hardly_see_contradicts_nothing_where_one_that_they_see_does() -> None:
     """Two changes of five sigmas: of 35 and of 2.5 times what was known of the constant, by a mixture of normals."""
-    odds = log_odds(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
+    odds = log_odds_of_errors(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
     assert odds[0] < 0.0 < odds[1]
     for own, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
         spreads = np.sqrt([1.0 + weight * size**2 for size in SIZE_PRIOR])
@@ -214,7 +222,7 @@ def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
     recording = make(np.zeros(16))
     own = Instrument(corrected=True, prior=Prior(parameters={"beam-tilt": 3.0}))
     found = calibrate_network(recording.replace(setup=recording.setup.model_copy(update={"instrument": own})))
-    sizes = dict(zip(found.names, found.prior_sigma[0], strict=True))
+    sizes = dict(zip(found.instrument_parameter_names, found.prior_sigma[0], strict=True))
     assert sizes["beam-tilt"] == pytest.approx(3e-6)
     assert sizes["range-offset"] == pytest.approx(3e-6)
 

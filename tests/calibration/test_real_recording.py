@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
 from ltsim.calibration.correct import correct
 from ltsim.calibration.network import calibrate_network
 from ltsim.geometry.polar import from_polar
@@ -36,7 +36,7 @@ def two_face_gap(recording: Recording) -> float:
 
 @pytest.mark.parametrize(("learned", "applied"), [(0, 1), (1, 0)])
 def test_parameters_carry_over_to_the_other_set_up(epoch: Recording, learned: int, applied: int) -> None:
-    found = calibrate_network(epoch.select(epoch.station == learned), advise=False)
+    found = calibrate_network(epoch.select(epoch.station == learned), recommend_measurements=False)
     assert found.fit.status == "converged"
     other = epoch.select(epoch.station == applied)
     before, after = two_face_gap(other), two_face_gap(correct(other, found))
@@ -46,7 +46,7 @@ def test_parameters_carry_over_to_the_other_set_up(epoch: Recording, learned: in
 @pytest.mark.long
 def test_whole_epoch_gives_parameters_with_uncertainty(epoch: Recording) -> None:
     found = calibrate_network(epoch)
-    tilt = found.names.index("beam-tilt")
+    tilt = found.instrument_parameter_names.index("beam-tilt")
     assert found.sigma[0, tilt] < 0.1 * found.prior_sigma[0, tilt]
     assert any("range-scale" in c.combination for c in found.undetermined)
 
@@ -64,10 +64,10 @@ def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: P
     removed = []
     for file in files:
         whole = read(file, hints=Hints(azimuth="clockwise"))
-        found = calibrate_network(whole.select(whole.station == 0), advise=False)
+        found = calibrate_network(whole.select(whole.station == 0), recommend_measurements=False)
         other = whole.select(whole.station == 1)
-        left = two_face(other, found.construction, found.applied[0]).rms
-        removed.append(1.0 - left / two_face(other).rms)
+        left = two_face_pairs(other, found.construction, found.applied_values[0]).rms
+        removed.append(1.0 - left / two_face_pairs(other).rms)
     across, elevation = np.median(removed, axis=0)[1:]
     assert across > 0.813
     assert elevation > 0.62

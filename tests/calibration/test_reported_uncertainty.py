@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.joint import COVARIANCE
+from ltsim.adjustment.joint import COVARIANCE_FILE
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings.coordinates import read_coordinates
@@ -75,8 +75,8 @@ def test_another_air_is_that_of_the_set_up(hall: Path) -> None:
     still = {"temperature_k": 0.0, "gradient_k_per_m": 0.0, "turbulence_um2_per_m3": 0.0}
     setup = recording.setup.model_copy(update={"air": type(recording.setup).model_validate({"air": still}).air})
     usual, exact = (lt.calibrate(r, advise=False) for r in (recording, recording.replace(setup=setup)))
-    assert usual.air
-    assert not exact.air
+    assert usual.air_text
+    assert not exact.air_text
     assert np.all(usual.target_covariance[:, 0, 0] > exact.target_covariance[:, 0, 0])
     np.testing.assert_allclose(exact.target_covariance, exact.adjustment.target_covariance, rtol=1e-12)
 
@@ -101,10 +101,12 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     )
     before, after = np.sqrt(np.diag(adjustment.constants_covariance)), found.sigma.ravel()
     assert np.all(after > before)
-    assert np.all(after <= np.minimum(found.fit.sigma0 * before, found.arrays.prior_used.ravel()) * (1 + 1e-9))
+    assert np.all(
+        after <= np.minimum(found.fit.sigma0 * before, found.arrays.effective_prior_sigma.ravel()) * (1 + 1e-9)
+    )
     lt.write(found, tmp_path)
     joint = read_coordinates(tmp_path / "targets.csv").covariance
-    assert (tmp_path / COVARIANCE).is_file()
+    assert (tmp_path / COVARIANCE_FILE).is_file()
     np.testing.assert_allclose(joint[:3, :3], found.target_covariance[0], rtol=1e-5)
     assert "multiplied by sigma0" in str(found)
     assert lt.read(tmp_path).fit.sigma0 == pytest.approx(found.fit.sigma0)
@@ -129,4 +131,4 @@ def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt
     for source in (calibration, tmp_path):
         with pytest.raises(RecordError, match=r"contradict its model \(sigma0 = .*give rejected=True to use it"):
             lt.correct(plain, source)
-        assert lt.correct(plain, source, rejected=True).is_corrected
+        assert lt.correct(plain, source, allow_rejected=True).is_corrected

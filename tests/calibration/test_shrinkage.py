@@ -9,17 +9,17 @@ import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_errors, point_noise
+from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_form, point_noise_rms
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import Instrument, Noise, Prior
 from tests.families import family
 from tests.networks import drawn, mesh, network
 
-BUILT = misalignment()
+BUILT = misalignment_construction()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
 NOISES = (1.0, 10.0, 50.0)
@@ -38,10 +38,10 @@ def with_prior(recording: Recording, factor: float, noise: float = 1.0) -> Recor
 @pytest.fixture(scope="module")
 def evidence() -> tuple[Floats, Floats]:
     """Information (16, 16) of a network of one face on the parameters in prior sigmas, and a new point's error."""
-    found = calibrate_network(network(seed=1)[0], BUILT, advise=False)
+    found = calibrate_network(network(seed=1)[0], BUILT, recommend_measurements=False)
     assert found.adjustment is not None
     unit = np.outer(SIGMA, SIGMA)
-    return np.linalg.inv(found.covariance / unit) - np.eye(16), point_errors(found.adjustment) * unit
+    return np.linalg.inv(found.covariance / unit) - np.eye(16), point_error_form(found.adjustment) * unit
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -77,9 +77,9 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
     assert any("contradict the declared priors" in s for s in wrong.correction.sentences)
     assert wrong.correction.prior_scale * factor == pytest.approx(right.correction.prior_scale, rel=0.35)
     assert right.adjustment is not None
-    by_value = point_errors(right.adjustment)
-    values = truth.state.instrument[0]
-    missed = wrong.applied[0] - values
+    by_value = point_error_form(right.adjustment)
+    values = truth.state.instrument_parameters[0]
+    missed = wrong.applied_values[0] - values
     assert missed @ by_value @ missed < 0.25**2 * (values @ by_value @ values)
 
 
@@ -88,7 +88,7 @@ def test_a_recording_that_tells_nothing_corrects_nothing_and_says_so() -> None:
     noise = stream(5, "noise").standard_normal(recording.readings.shape)
     found = lt.calibrate(recording.with_readings(recording.readings + recording.sigma() * noise), advise=False)
     assert found.correction is not None
-    assert np.linalg.norm(found.applied / SIGMA) < 0.2 * np.linalg.norm(found.values / SIGMA)
+    assert np.linalg.norm(found.applied_values / SIGMA) < 0.2 * np.linalg.norm(found.estimates / SIGMA)
     assert any("increase the errors of new points" in s for s in found.correction.sentences)
 
 
@@ -100,8 +100,8 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         found = lt.calibrate(recording, advise=False)
         assert found.correction is not None
         assert found.adjustment is not None
-        by_value = point_errors(found.adjustment)
-        gap = found.values[0] - truth.state.instrument[0]
+        by_value = point_error_form(found.adjustment)
+        gap = found.estimates[0] - truth.state.instrument_parameters[0]
         seen.append(gap @ by_value @ gap)
         told.append((1e-6 * found.correction.corrected_um) ** 2)
         assert found.correction.corrected_um < found.correction.uncorrected_um
@@ -113,15 +113,15 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     seen = []
     for seed in range(6):
         recording, truth = network(seed=seed)
-        seen.append(cloud_error(recording, measured_points(recording), truth.state.points))
+        seen.append(cloud_error(recording, measured_points(recording), truth.state.target_points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
-    stated = point_noise(recording, recording.sigma())
+    stated = point_noise_rms(recording, recording.sigma())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_um == pytest.approx(1e6 * stated)
     both = np.hypot(found.correction.corrected_um, found.correction.noise_um)
-    assert f"{number(both, 3)} um corrected (" in repr(found)
+    assert f"{number_text(both, 3)} um corrected (" in repr(found)
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -135,16 +135,18 @@ def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(kno
             for name, target in recording.setup.targets.items()
         }
         recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
-    found = calibrate_network(recording, BUILT, advise=False)
+    found = calibrate_network(recording, BUILT, recommend_measurements=False)
     assert found.adjustment is not None
     held = held_out_targets(found.adjustment)[0]
     target = int(
-        np.flatnonzero(found.adjustment.problem.unknowns.target[:, 0] >= found.adjustment.problem.unknowns.n_reduced)[0]
+        np.flatnonzero(
+            found.adjustment.problem.unknowns.target_columns[:, 0] >= found.adjustment.problem.unknowns.n_reduced
+        )[0]
     )
     others = recording.select(recording.target != target)
-    without = calibrate_network(others, BUILT, advise=False)
-    shift = held.shift / found.prior_sigma[0]
-    assert (found.values - without.values)[0] / found.prior_sigma[0] == pytest.approx(shift, abs=2e-3)
+    without = calibrate_network(others, BUILT, recommend_measurements=False)
+    shift = held.estimate_shift / found.prior_sigma[0]
+    assert (found.estimates - without.estimates)[0] / found.prior_sigma[0] == pytest.approx(shift, abs=2e-3)
     unit = np.outer(found.prior_sigma, found.prior_sigma)
     assert held.covariance / unit == pytest.approx(without.covariance / unit, abs=2e-3)
 
@@ -161,9 +163,9 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     assert found.correction.not_applied
     words = found.correction.not_applied[0].replace("-", " ")
     assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
-    at = [found.names.index(name) for name in found.correction.not_applied]
-    assert np.all(found.applied[0, at] == 0.0)
-    assert np.any(found.values[0, at] != 0.0)
+    at = [found.instrument_parameter_names.index(name) for name in found.correction.not_applied]
+    assert np.all(found.applied_values[0, at] == 0.0)
+    assert np.any(found.estimates[0, at] != 0.0)
 
 
 @pytest.mark.parametrize(("stations", "sparse", "most"), family([(1, True, 0.7), (2, True, 0.8), (1, False, 1.05)]))
@@ -172,14 +174,14 @@ def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sp
 
     Where the prior says what the instrument is, nothing can beat all sixteen estimates; little may be lost.
     """
-    six = [name.startswith(("transit", "beam", "vertical")) for name in BUILT.names]
+    six = [name.startswith(("transit", "beam", "vertical")) for name in BUILT.parameter_names]
     errors = []
     for seed in range(10):
         values = drawn(BUILT, seed) * (np.array(six) / 3 if sparse else 1.0)
         found = lt.calibrate(network(faces=2, seed=seed, values=values, stations=stations)[0], advise=False)
         assert found.adjustment is not None
-        form = point_errors(found.adjustment)
-        errors.append([gap @ form @ gap for gap in (found.applied[0] - values, found.values[0] - values)])
+        form = point_error_form(found.adjustment)
+        errors.append([gap @ form @ gap for gap in (found.applied_values[0] - values, found.estimates[0] - values)])
     applied, estimated = np.sqrt(np.mean(errors, axis=0))
     assert applied < most * estimated
 
@@ -189,7 +191,7 @@ def test_what_is_applied_is_kept_in_the_file(tmp_path) -> None:
     found = lt.calibrate(recording, advise=False)
     write_calibration(found, tmp_path / "cal")
     again = read_calibration(tmp_path / "cal")
-    assert again.applied == pytest.approx(found.applied, rel=1e-12)
+    assert again.applied_values == pytest.approx(found.applied_values, rel=1e-12)
     assert again.correction is not None
     assert found.correction is not None
     assert again.correction.sentences == found.correction.sentences
@@ -209,8 +211,8 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
         draw = stream(seed, "noise").standard_normal(recording.readings.shape)
         found = lt.calibrate(stated.with_readings(recording.readings + stated.sigma() * draw), advise=False)
         assert found.adjustment is not None
-        by_value = point_errors(found.adjustment)
-        gap = found.applied[0] - values
+        by_value = point_error_form(found.adjustment)
+        gap = found.applied_values[0] - values
         ratios.append(np.sqrt((gap @ by_value @ gap) / (values @ by_value @ values)))
     print(f"prior x {factor:g}, noise x {noise:g}: new points err {np.mean(ratios):.3f} of what they did")
     assert np.mean(ratios) < 1.02
@@ -220,14 +222,14 @@ def test_what_no_instrument_has_is_not_applied() -> None:
     asked = ScaledPrior(100.0 * np.eye(4), 100.0 * np.array([200.0, -150.0, 300.0, 90.0]))
     applied, _ = asked.shrunk_correction(np.eye(4))
     assert not applied.any()
-    assert "no correction is applied" in asked.doubt
+    assert "no correction is applied" in asked.scale_sentence
 
 
 def test_without_a_term_that_helps_held_out_targets_nothing_is_applied() -> None:
     nothing = ScaledPrior(np.zeros((0, 0)), np.zeros(0))
     applied, note = nothing.shrunk_correction(np.zeros((0, 0)))
-    assert not len(applied) and note == nothing.doubt == ""
-    assert nothing.errors(np.zeros((0, 0)), applied) == (0.0, 0.0)
+    assert not len(applied) and note == nothing.scale_sentence == ""
+    assert nothing.point_errors(np.zeros((0, 0)), applied) == (0.0, 0.0)
 
 
 def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_each_other(
@@ -235,8 +237,8 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
 ) -> None:
     information, by_unit = evidence
     told = information @ (6.0 * stream(3, "worth").standard_normal(16))
-    followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, rest=2.5)
+    followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
-    assert "the correction uses this scale" in followed.doubt
+    assert "the correction uses this scale" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()
-    assert "contradict each other by 2.5 times their noise" in bent.doubt
+    assert "contradict each other by 2.5 times their noise" in bent.scale_sentence

@@ -11,10 +11,10 @@ import pytest
 from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import EffectDistribution, TrialDraws
+from ltsim.simulation.draws import EffectDistribution, TrialDistributions
 from tests.campaigns.small import FILE
 
 
@@ -39,17 +39,17 @@ def truth_of(
 ) -> CellTruth:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
-    built = construction or misalignment()
+    built = construction or misalignment_construction()
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = TrialDraws(
+    population = TrialDistributions(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
-        mean=np.zeros_like(sigma),
-        sigma=scale * sigma,
-        noise=recording.sigma(),
-        lengths=ReferenceLengths.of(recording),
-        names=recording.targets,
+        instrument_means=np.zeros_like(sigma),
+        instrument_sigmas=scale * sigma,
+        noise_sigmas=recording.sigma(),
+        reference_lengths=ReferenceLengths.from_recording(recording),
+        length_end_names=recording.targets,
         effects=effects,
     )
     return CellTruth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
@@ -62,7 +62,7 @@ def make_truth() -> Callable[..., CellTruth]:
 
 @pytest.fixture(scope="session")
 def engine() -> BatchCalibrator:
-    return BatchCalibrator(truth_of(), misalignment())
+    return BatchCalibrator(truth_of(), misalignment_construction())
 
 
 @pytest.fixture

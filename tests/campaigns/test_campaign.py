@@ -17,13 +17,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from ltsim.campaigns import engine, statistics, store
-from ltsim.campaigns.campaign import Workers, run_campaign
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.rows import ShardTask, shard_rows
-from ltsim.campaigns.schema import CHECKED
+from ltsim.campaigns.campaign import WorkerSettings, run_campaign
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.schema import DIFFERENCE_COLUMN
 from ltsim.campaigns.spec import load_campaign
-from ltsim.campaigns.statistics import LEVELS
-from ltsim.campaigns.store import Store, table_of
+from ltsim.campaigns.statistics import QUANTILE_LEVELS
+from ltsim.campaigns.store import CampaignFolder, read_shard
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
@@ -40,7 +40,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("reference")
     (folder / "noise.toml").write_text(FILE)
     outcome = run_campaign(folder / "noise.toml", folder / "out")
-    assert (outcome.shards, outcome.existing) == (6, 0)
+    assert (outcome.n_computed_shards, outcome.n_existing_shards) == (6, 0)
     return contents(folder / "out")
 
 
@@ -48,11 +48,11 @@ def test_rows_hold_what_the_file_asks_for(reference: dict[str, bytes], tmp_path:
     assert len(reference) == 6
     path = tmp_path / "shard.parquet"
     path.write_bytes(reference["rows/cell-0001/shard-000002.parquet"])
-    table = table_of(path)
+    table = read_shard(path)
     assert table["trial"].to_pylist() == list(range(512, 600))
     assert set(table["cell"].to_pylist()) == {1}
     assert set(table["status"].to_pylist()) == {"converged"}
-    checked = table[CHECKED].drop_null().to_pylist()
+    checked = table[DIFFERENCE_COLUMN].drop_null().to_pylist()
     assert len(checked) == 1 and 0 < checked[0] < 1e-3
     assert "z:beam-tilt" in table.column_names and "estimate:beam-tilt" not in table.column_names
 
@@ -65,14 +65,14 @@ def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, by
     assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
     told = schema.field("target_error_um").metadata
     assert told[b"unit"] == b"um" and b"the noise of the readings that were adjusted is in it" in told[b"meaning"]
-    assert set(table_of(path)["noise_factor"].to_pylist()) == {2.0}
+    assert set(read_shard(path)["noise_factor"].to_pylist()) == {2.0}
 
 
 def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> None:
     text = FILE.replace("trials = 600", 'trials = 2\nstatistics = ["estimates", "truth", "z-scores"]')
     file.write_text(text + '[settings]\neffects = [{name = "range-cyclic", draw = true}]\n')
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
+    rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     units = {field.name: (field.metadata or {})[b"unit"].decode() for field in rows.schema}
     assert units["estimate:beam-tilt"] == units["sigma:beam-tilt"] == units["true:beam-tilt"] == "urad"
     assert units["z:beam-tilt"] == units["chi2"] == ""
@@ -80,7 +80,7 @@ def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> 
 
 
 def test_two_workers_give_the_same_bytes(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
-    run_campaign(file, tmp_path / "out", workers=Workers(jobs=2))
+    run_campaign(file, tmp_path / "out", workers=WorkerSettings(n_processes=2))
     assert contents(tmp_path / "out") == reference
 
 
@@ -96,7 +96,7 @@ def test_interrupted_and_resumed_gives_the_same_bytes(file: Path, tmp_path: Path
         run_campaign(file, tmp_path / "out", progress=stop)
     assert len(contents(tmp_path / "out")) == 2
     outcome = run_campaign(file, tmp_path / "out", resume=True)
-    assert (outcome.shards, outcome.existing) == (4, 2)
+    assert (outcome.n_computed_shards, outcome.n_existing_shards) == (4, 2)
     assert contents(tmp_path / "out") == reference
 
 
@@ -142,7 +142,7 @@ def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_sa
 ) -> None:
     file.write_text(FILE.replace("shard = 256", "shard = 32"))
     whole, out, script = tmp_path / "whole", tmp_path / "out", tmp_path / "resumed.py"
-    assert run_campaign(file, whole).shards == 38
+    assert run_campaign(file, whole).n_computed_shards == 38
     script.write_text(RESUMED)
     killed, present = 0, set[str]()
     for number, moment in enumerate(stream(7, "moments").uniform(0.0, LATEST, KILLS)):
@@ -170,7 +170,7 @@ def test_finished_campaign_is_not_begun_again_by_mistake(file: Path, tmp_path: P
     run_campaign(file, tmp_path / "out")
     with pytest.raises(SetupError, match=r"holds a campaign.*--resume"):
         run_campaign(file, tmp_path / "out")
-    assert run_campaign(file, tmp_path / "out", resume=True).shards == 0
+    assert run_campaign(file, tmp_path / "out", resume=True).n_computed_shards == 0
 
 
 @pytest.mark.parametrize("how", ["cut", "flipped", "of another campaign"])
@@ -189,7 +189,7 @@ def test_damaged_shard_is_set_aside_and_done_again(
     else:
         (out / name).write_bytes((out / "rows/cell-0001/shard-000001.parquet").read_bytes())
     outcome = run_campaign(file, out, resume=True)
-    assert outcome.shards == 1
+    assert outcome.n_computed_shards == 1
     assert len([note for note in outcome.notes if "is damaged" in note]) == 1
     assert contents(out) == reference
     assert (out / name).with_suffix(".damaged").exists()
@@ -202,7 +202,7 @@ def test_changed_file_is_refused_and_rows_stay(file: Path, tmp_path: Path, refer
     with pytest.raises(SetupError, match=r"changed since this campaign started \(seed\)"):
         run_campaign(file, out, resume=True)
     assert contents(out) == reference
-    assert run_campaign(out / "campaign.toml", out, resume=True).existing == 6
+    assert run_campaign(out / "campaign.toml", out, resume=True).n_existing_shards == 6
 
 
 def test_a_campaign_of_an_own_scenario_goes_on_from_its_copy(file: Path, tmp_path: Path) -> None:
@@ -212,11 +212,11 @@ def test_a_campaign_of_an_own_scenario_goes_on_from_its_copy(file: Path, tmp_pat
     file.write_text(FILE.replace("paper-workshop", "sub/mine.toml").replace("trials = 600", "trials = 300"))
     out = tmp_path / "out"
     run_campaign(file, out)
-    shard = Store(out).shard_path(0, 1)
+    shard = CampaignFolder(out).shard_path(0, 1)
     before = shard.read_bytes()
     shard.unlink()
     file.unlink()
-    assert run_campaign(out / "campaign.toml", out, resume=True).shards == 1
+    assert run_campaign(out / "campaign.toml", out, resume=True).n_computed_shards == 1
     assert shard.read_bytes() == before
 
 
@@ -269,7 +269,10 @@ def test_folder_that_cannot_be_written_is_a_sentence(file: Path, tmp_path: Path)
 
 
 def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) -> None:
-    with Store(tmp_path / "out").lock(), pytest.raises(SetupError, match="another campaign runs in this folder"):
+    with (
+        CampaignFolder(tmp_path / "out").lock(),
+        pytest.raises(SetupError, match="another campaign runs in this folder"),
+    ):
         run_campaign(file, tmp_path / "out")
 
 
@@ -298,8 +301,8 @@ def test_a_trial_depends_on_its_number_alone(file: Path) -> None:
     """Other shards, more trials, another method beside: the same rows."""
     campaign, scenarios = load_campaign(file)
     long = campaign.model_copy(update={"trials": 900, "shard": 700})
-    table = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 1))
-    other = shard_rows(ShardTask(long, scenarios[0], "", 0, 0))
+    table = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 1))
+    other = make_shard_rows(ShardTask(long, scenarios[0], "", 0, 0))
     same = other.slice(256, 256)
     for name in ("trial", "chi2", "z:range-scale", "distance_after_mean_um", "error_calibrated_um"):
         assert table[name].to_pylist() == same[name].to_pylist()
@@ -312,13 +315,13 @@ def test_methods_see_the_same_draws(file: Path) -> None:
         )
     )
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
+    rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     batch, alone = rows.slice(0, 12), rows.slice(12, 12)
     assert set(alone["method"].to_pylist()) == {"one by one"}
     assert batch["error_raw_um"].to_pylist() == alone["error_raw_um"].to_pylist()
     gap = np.array(batch["z:beam-tilt"].to_pylist()) - np.array(alone["z:beam-tilt"].to_pylist())
     assert 0 < np.abs(gap).max() < 1e-3
-    assert alone[CHECKED].null_count == 12
+    assert alone[DIFFERENCE_COLUMN].null_count == 12
 
 
 def test_geometry_may_vary_per_trial(file: Path) -> None:
@@ -326,10 +329,10 @@ def test_geometry_may_vary_per_trial(file: Path) -> None:
         FILE.replace("trials = 600", 'trials = 6\ngeometry = "per-trial"\nstatistics = ["errors", "truth"]')
     )
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
+    rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["trial"].to_pylist() == list(range(6))
     assert set(rows["status"].to_pylist()) == {"converged"}
-    assert max(rows[CHECKED].drop_null().to_pylist()) < 1e-3
+    assert max(rows[DIFFERENCE_COLUMN].drop_null().to_pylist()) < 1e-3
     assert len(set(rows["true:beam-tilt"].to_pylist())) == 6
 
 
@@ -348,7 +351,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return real(*args, **settings)
 
     monkeypatch.setattr(engine, "adjust", sometimes)
-    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
+    rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
     for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "error_calibrated_um", "target_error_um"):
         assert rows[name].null_count == 1 and rows[name][1].as_py() is None
@@ -357,21 +360,21 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    results = Results(tmp_path / "out")
+    results = CampaignResults(tmp_path / "out")
     whole = pq.read_table(tmp_path / "out" / "rows" / "cell-0001").to_pydict()
     before, after = (np.array(whole[f"distance_{when}_mean_um"]) for when in ("before", "after"))
     improvement = 100 * (1 - after / before)
-    spread = results.spread("distance_improvement_percent")[1]
+    spread = results.distribution("distance_improvement_percent")[1]
     assert (spread.cell, spread.method, spread.trials) == (1, "network", 600)
     assert spread.mean == pytest.approx(improvement.mean(), rel=1e-5)
     assert spread.deviation == pytest.approx(improvement.std(ddof=1), rel=1e-5)
-    assert spread.quantiles == pytest.approx(np.quantile(improvement, LEVELS), rel=1e-4)
+    assert spread.quantiles == pytest.approx(np.quantile(improvement, QUANTILE_LEVELS), rel=1e-4)
     assert spread.low < spread.mean < spread.high
     z = np.array(whole["z:transit-tilt"])
-    score = next(s for s in results.z_scores() if s.cell == 1 and s.parameter == "transit-tilt")
+    score = next(s for s in results.z_score_summaries() if s.cell == 1 and s.parameter == "transit-tilt")
     assert (score.mean, score.deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
-    assert [c.checked for c in results.checked()] == [3, 3]
-    assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.checked())
+    assert [c.checked for c in results.solver_comparisons()] == [3, 3]
+    assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.solver_comparisons())
     assert json.dumps(results.summary(), allow_nan=False)
 
 
@@ -379,10 +382,10 @@ def test_quantiles_of_very_many_rows_come_from_a_digest(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_campaign(file, tmp_path / "out")
-    results = Results(tmp_path / "out")
-    exact = results.spread("target_error_um")[0]
-    monkeypatch.setattr(statistics, "MAX_EXACT", 1000)
-    rough = results.spread("target_error_um")[0]
+    results = CampaignResults(tmp_path / "out")
+    exact = results.distribution("target_error_um")[0]
+    monkeypatch.setattr(statistics, "MAX_ROWS_EXACT_QUANTILES", 1000)
+    rough = results.distribution("target_error_um")[0]
     assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
     assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.deviation
 
@@ -390,9 +393,9 @@ def test_quantiles_of_very_many_rows_come_from_a_digest(
 def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     file.write_text(FILE.replace("[grid]", '[[methods]]\n[[methods]]\nname = "none"\nconstruction = "ideal"\n[grid]'))
     run_campaign(file, tmp_path / "out")
-    results = Results(tmp_path / "out")
+    results = CampaignResults(tmp_path / "out")
     gap = results.paired("target_error_um", method=("none", "network")).entries
     assert [g.trials for g in gap] == [600, 600] and [g.settings for g in gap] == results.levels
-    means = {(s.cell, s.method): s.mean for s in results.spread("target_error_um")}
+    means = {(s.cell, s.method): s.mean for s in results.distribution("target_error_um")}
     assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
     assert gap[0].low > 0  # an uncalibrated network errs more

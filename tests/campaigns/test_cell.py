@@ -10,19 +10,19 @@ import pytest
 from scipy.stats import kstest
 
 import ltsim as lt
-from ltsim.campaigns.rows import ShardTask, shard_rows
-from ltsim.campaigns.spec import Campaign
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.spec import CampaignFile
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, find_effect
-from ltsim.physics.effects.effect import Mistake, NoiseEffect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects.effect import Blunder, NoiseEffect
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import NormalSource
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.draws import StandardNormalSource
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
+from ltsim.simulation.simulator import measure_trial
 
 BUILTIN = (
     "paper-workshop",
@@ -39,16 +39,16 @@ unknowns, treats effects as linear within 1e-3 of a reading's sigma, and keeps s
 
 def scenario(**changes: Any) -> Scenario:
     table = load_scenario("paper-workshop").model_dump(mode="json", by_alias=True, exclude_none=True)
-    return scenario_from(table | changes, Path("test.toml"))
+    return validate_scenario(table | changes, Path("test.toml"))
 
 
 def with_effect(name: str) -> Scenario:
     """The workshop with an effect drawn where such effects act; a blunder that is made."""
     kind = find_effect(name)
     entry: dict[str, Any] = {"name": name, "draw": True}
-    if issubclass(kind, Mistake):
-        seen = fieldwork(load_scenario("paper-workshop"), SEED).sightings
-        made = kind.possible(seen)[0]
+    if issubclass(kind, Blunder):
+        seen = make_geometry(load_scenario("paper-workshop"), SEED).sightings
+        made = kind.possible_blunders(seen)[0]
         entry = {"name": name, "values": {made.parameters[0].name: 1.0}}
         entry |= {"stations": list(made.stations), "targets": list(made.targets)}
     elif kind.scope == "station":
@@ -62,28 +62,28 @@ def with_effect(name: str) -> Scenario:
 def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     """Over the whole catalogue: readings to a thousandth of sigma or a step of the resolution, lengths to 1 nm."""
     given = with_effect(name)
-    truth = truth_of(given, SEED)
-    block = truth.draw(SEED, 0, 8)
+    truth = make_cell_truth(given, SEED)
+    block = truth.draw_block(SEED, 0, 8)
     recording, true = lt.simulate(given, seed=SEED, trial=TRIAL)
-    gap = truth.readings(block, TRIAL) - recording.readings
-    gap[:, 1:] = wrap(gap[:, 1:])
-    step = truth.step[0]
+    gap = truth.trial_readings(block, TRIAL) - recording.readings
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
+    step = truth.resolution[0]
     assert np.all(np.abs(gap) <= 1e-3 * recording.sigma() + 1.001 * step)
     assert np.mean(np.abs(gap) > 0.5 * step) < 0.02
-    np.testing.assert_array_equal(block.values[0, :, TRIAL], list(true.instrument.values()))
-    np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.applied[0].values)
-    lengths = truth.population.lengths.length + block.gauge_error[:, TRIAL]
-    np.testing.assert_allclose(lengths, ReferenceLengths.of(recording).length, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(block.instrument_values[0, :, TRIAL], list(true.instrument_values.values()))
+    np.testing.assert_array_equal(block.effect_values[0][:, TRIAL], true.applied_effects[0].parameter_values)
+    lengths = truth.distributions.reference_lengths.lengths + block.length_errors[:, TRIAL]
+    np.testing.assert_allclose(lengths, ReferenceLengths.from_recording(recording).lengths, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
     given = load_scenario(name)
-    truth = truth_of(given, SEED)
-    block = truth.draw(SEED, 1)
+    truth = make_cell_truth(given, SEED)
+    block = truth.draw_block(SEED, 1)
     recording, _ = lt.simulate(given, seed=SEED, trial=300)
-    gap = truth.readings(block, 300 - 256) - recording.readings
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap = truth.trial_readings(block, 300 - 256) - recording.readings
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     assert np.mean(np.abs(gap) > 1e-12) < 0.01
 
 
@@ -92,7 +92,7 @@ def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, tmp_path: Path) -> None:
     given = scenario(effects=[{"name": "head-sag", "draw": True}])
-    campaign = Campaign.model_validate(
+    campaign = CampaignFile.model_validate(
         {
             "format": "ltsim-campaign/1",
             "seed": SEED,
@@ -103,24 +103,26 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
             "methods": [{"method": method}],
         }
     )
-    row = shard_rows(ShardTask(campaign, given, "", 0, 0)).slice(TRIAL, 1).to_pylist()[0]
+    row = make_shard_rows(ShardTask(campaign, given, "", 0, 0)).slice(TRIAL, 1).to_pylist()[0]
     lt.write(lt.simulate(given, seed=SEED, trial=TRIAL, geometry=geometry).recording, tmp_path / "rec")
     found = lt.calibrate(tmp_path / "rec", method=method)
     assert row["trial"] == TRIAL
-    factor = np.array([p.factor for p in misalignment().parameters])
-    ours, sigma = (np.array([row[f"{what}:{name}"] for name in found.names]) for what in ("estimate", "sigma"))
-    gap = (ours * factor - found.values[0]) / found.sigma[0]
+    factor = np.array([p.si_per_display_unit for p in misalignment_construction().parameters])
+    ours, sigma = (
+        np.array([row[f"{what}:{name}"] for name in found.instrument_parameter_names]) for what in ("estimate", "sigma")
+    )
+    gap = (ours * factor - found.estimates[0]) / found.sigma[0]
     assert np.abs(gap).max() < SIGMAS
     np.testing.assert_allclose(sigma * factor, found.sigma[0], rtol=2e-3)
 
 
 def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     """a8a5717 drew glass of negative thickness in half of the trials of a campaign."""
-    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.positive for p in k.parameters)]
+    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.is_positive for p in k.parameters)]
     assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
     for kind in is_nonnegative:
-        truth = truth_of(with_effect(kind.name), 6)
-        drawn = truth.population.draw(NormalSource(6, np.arange(1024))).amounts[0]
+        truth = make_cell_truth(with_effect(kind.name), 6)
+        drawn = truth.distributions.draw(StandardNormalSource(6, np.arange(1024))).effect_values[0]
         for k, parameter in enumerate(truth.effects[0].effect.parameters):
             if truth.effects[0].is_nonnegative[k]:
                 assert np.all(drawn[k] >= 0)
@@ -128,41 +130,41 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
 
 
 def test_drawn_noise_levels_widen_single_trials() -> None:
-    truth = truth_of(scenario(effects=[{"name": "noise-level", "draw": True}]), 5)
-    quiet = truth_of(scenario(), 5)
-    loud, still = truth.draw(5, 0), quiet.draw(5, 0)
-    extra = loud.amounts[0][0]
+    truth = make_cell_truth(scenario(effects=[{"name": "noise-level", "draw": True}]), 5)
+    quiet = make_cell_truth(scenario(), 5)
+    loud, still = truth.draw_block(5, 0), quiet.draw_block(5, 0)
+    extra = loud.effect_values[0][0]
     assert np.all(extra >= 0) and extra.std() > 0.1
-    ratio = np.std(loud.deviation[:, 0] - quiet._exact(still.values)[:, 0], axis=0)
-    usual = np.std(still.deviation[:, 0] - quiet._exact(still.values)[:, 0], axis=0)
+    ratio = np.std(loud.reading_deviations[:, 0] - quiet._exact_deviations(still.instrument_values)[:, 0], axis=0)
+    usual = np.std(still.reading_deviations[:, 0] - quiet._exact_deviations(still.instrument_values)[:, 0], axis=0)
     assert np.corrcoef(ratio / usual, np.sqrt(1 + extra))[0, 1] > 0.9
 
 
 def test_stated_errors_are_not_drawn() -> None:
-    truth = truth_of(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
-    block = truth.draw(6, 0)
+    truth = make_cell_truth(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
+    block = truth.draw_block(6, 0)
     place = truth.construction.index("beam-tilt")
-    assert np.all(block.values[0, place] == 7e-6)
-    assert block.values[0, 0].std() > 0
+    assert np.all(block.instrument_values[0, place] == 7e-6)
+    assert block.instrument_values[0, 0].std() > 0
 
 
 def test_an_error_that_the_instrument_cannot_have_is_refused() -> None:
     given = scenario(instrument={"preset": "paper", "errors": {"beam-tlt": 7.0}})
     with pytest.raises(SetupError, match="beam-tilt"):
-        truth_of(given, 6)
+        make_cell_truth(given, 6)
 
 
 def test_geometry_belongs_to_its_key() -> None:
     given = scenario()
-    one, other, again = truth_of(given, 7, "a"), truth_of(given, 7, "b"), truth_of(given, 7, "a")
-    assert np.array_equal(one.state.points, again.state.points)
-    assert np.abs(one.state.points - other.state.points).max() > 1e-4
-    assert np.array_equal(one.state.position[0], np.zeros(3))
+    one, other, again = make_cell_truth(given, 7, "a"), make_cell_truth(given, 7, "b"), make_cell_truth(given, 7, "a")
+    assert np.array_equal(one.state.target_points, again.state.target_points)
+    assert np.abs(one.state.target_points - other.state.target_points).max() > 1e-4
+    assert np.array_equal(one.state.station_positions[0], np.zeros(3))
 
 
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
     with pytest.raises(SetupError, match="makes a variance of the noise negative"):
-        truth_of(given, 7).draw(7, 0)
+        make_cell_truth(given, 7).draw_block(7, 0)
     with pytest.raises(SetupError, match="makes a variance of the noise negative"):
-        measure(fieldwork(given, 7), 7)
+        measure_trial(make_geometry(given, 7), 7)

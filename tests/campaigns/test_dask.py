@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.campaigns import campaign
-from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.core.errors import SetupError
 
 FILE = """
@@ -67,11 +67,11 @@ def test_killed_worker_changes_nothing(tmp_path: Path, root: Path) -> None:
                 if len(finished) == 3:
                     doomed.kill()
 
-            workers = Workers(backend="dask", scheduler=str(cluster))
+            workers = WorkerSettings(backend="dask", scheduler=str(cluster))
             outcome = run_campaign(file, tmp_path / "cluster", workers=workers, progress=kill_one)
             assert doomed.wait(timeout=30) != 0
             assert survivor.poll() is None
-    assert outcome.shards == 12
+    assert outcome.n_computed_shards == 12
     assert contents(tmp_path / "cluster") == contents(tmp_path / "one")
 
 
@@ -93,7 +93,7 @@ def test_workers_that_end_at_the_same_shard_are_a_sentence(tmp_path: Path, monke
     with pytest.raises(
         SetupError, match=r"several workers were killed at the same shard.*remain in the folder: continue with --resume"
     ):
-        run_campaign(file, tmp_path / "out", workers=Workers(backend="dask", scheduler="tcp://127.0.0.1:1"))
+        run_campaign(file, tmp_path / "out", workers=WorkerSettings(backend="dask", scheduler="tcp://127.0.0.1:1"))
 
 
 def test_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path) -> None:
@@ -101,6 +101,6 @@ def test_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path) -> None:
     file = tmp_path / "many.toml"
     file.write_text(FILE)
     with pytest.raises(SetupError, match="needs --scheduler"):
-        run_campaign(file, tmp_path / "out", workers=Workers(backend="dask"))
+        run_campaign(file, tmp_path / "out", workers=WorkerSettings(backend="dask"))
     with pytest.raises(SetupError, match="no dask scheduler answers"):
-        run_campaign(file, tmp_path / "out2", workers=Workers(backend="dask", scheduler="nonsense://x"))
+        run_campaign(file, tmp_path / "out2", workers=WorkerSettings(backend="dask", scheduler="nonsense://x"))

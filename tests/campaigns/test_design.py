@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.design import Range, label, short_names
-from ltsim.campaigns.spec import cells_of, load_campaign
+from ltsim.campaigns.design import Range, cell_label, short_key_names
+from ltsim.campaigns.spec import load_campaign, make_cells
 from ltsim.core.errors import SetupError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
@@ -19,7 +19,7 @@ def made(tmp_path: Path, text: str):
     file = tmp_path / "made.toml"
     file.write_text(HEAD + text)
     campaign, scenarios = load_campaign(file)
-    factors, cells = cells_of(campaign, scenarios, file)
+    factors, cells = make_cells(campaign, scenarios, file)
     return campaign, scenarios, factors, [cell.levels for cell in cells]
 
 
@@ -43,7 +43,7 @@ def test_linked_keys_take_the_same_value_in_the_keys_unit(tmp_path: Path) -> Non
     for scenario, angle in zip(scenarios, (0.5, 1.0), strict=True):
         noise = scenario.instrument.noise
         assert (noise.azimuth_arcsec, noise.elevation_arcsec) == (pytest.approx(angle),) * 2
-    assert label(factors, levels[0]) == "noise_arcsec = 0.5"
+    assert cell_label(factors, levels[0]) == "noise_arcsec = 0.5"
 
 
 def test_errors_and_effects_are_swept_in_their_own_units(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_errors_and_effects_are_swept_in_their_own_units(tmp_path: Path) -> None
     assert scenarios[0].effects[0].values["sag"] == pytest.approx(20.0)
     assert [x["shadow_cone_deg"] for x in levels] == [None, 70.0]
     words = "beam-tilt = 4.84814 urad, sag = 20 urad, shadow_cone_deg = "
-    assert [label(factors, x) for x in levels] == [words + "none", words + "70"]
+    assert [cell_label(factors, x) for x in levels] == [words + "none", words + "70"]
 
 
 @pytest.mark.parametrize("kind", ["sobol", "latin-hypercube"])
@@ -83,13 +83,13 @@ def test_a_preset_is_swept_with_all_it_stands_for(tmp_path: Path) -> None:
 
 def test_whole_numbers_of_a_range_are_equally_likely() -> None:
     shares = (np.arange(1000) + 0.5) / 1000
-    values = Range(low=1, high=4).at(shares, whole=True)
+    values = Range(low=1, high=4).values_at(shares, is_integer=True)
     assert np.bincount(values).tolist() == [0, 250, 250, 250, 250]
 
 
 def test_names_are_as_short_as_tells_them_apart() -> None:
     keys = ["instruments.A.noise_factor", "instruments.B.noise_factor", "work.faces", "x.trial"]
-    assert list(short_names(keys).values()) == ["A_noise_factor", "B_noise_factor", "faces", "x_trial"]
+    assert list(short_key_names(keys).values()) == ["A_noise_factor", "B_noise_factor", "faces", "x_trial"]
 
 
 @pytest.mark.parametrize(

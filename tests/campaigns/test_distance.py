@@ -7,71 +7,73 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ltsim.calibration.distance_solver import mean_rows
+from ltsim.calibration.distance_solver import mean_deviation_rows
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import STATUSES, recording_of
-from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.physics.model.construction import misalignment
+from ltsim.campaigns.engine import TRIAL_STATUSES, recording_of_trial
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.physics.model.construction import misalignment_construction
 
-EVERY = np.arange(BLOCK)
+EVERY = np.arange(TRIALS_PER_STREAM)
 
 
 @pytest.mark.parametrize("faces", [1, 2])
 def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
-    batch = BatchDistance(make_truth(faces=faces), misalignment())
-    block = batch.truth.draw(21, 0)
+    batch = BatchDistance(make_truth(faces=faces), misalignment_construction())
+    block = batch.truth.draw_block(21, 0)
     found = batch.calibrate(block, EVERY)
-    assert np.all(found.status == 0)
-    assert max(batch.difference(block, k, found) for k in (0, 90, 180)) < 1e-3
-    single = batch.single.calibrate(block, np.array([7]))
+    assert np.all(found.status_indices == 0)
+    assert max(batch.largest_difference(block, k, found) for k in (0, 90, 180)) < 1e-3
+    single = batch.serial_calibrator.calibrate(block, np.array([7]))
     assert single.chi2[7] == pytest.approx(found.chi2[7], abs=0.01)
-    assert single.sigma[:, :, 7] == pytest.approx(found.sigma, rel=1e-3)
+    assert single.instrument_sigmas[:, :, 7] == pytest.approx(found.instrument_sigmas, rel=1e-3)
 
 
 def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
     """At zero parameters: the sum of squares of eq. 9's rows."""
     truth = make_truth(faces=2)
-    batch = BatchDistance(truth, misalignment())
-    block = truth.draw(22, 0)
-    sets, seen, share, gauge = batch._membership
-    clouds = np.zeros((*seen.shape, 3, BLOCK))
+    batch = BatchDistance(truth, misalignment_construction())
+    block = truth.draw_block(22, 0)
+    sets, seen, share, gauge = batch._set_membership
+    clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):
-            raw = truth.recording.readings[i : i + 1] + block.deviation[i : i + 1, :, k]
-            clouds[s, t, :, k] += share[i] * misalignment().point(raw, np.zeros(16))[0]
+            raw = truth.recording.readings[i : i + 1] + block.reading_deviations[i : i + 1, :, k]
+            clouds[s, t, :, k] += share[i] * misalignment_construction().point(raw, np.zeros(16))[0]
     clouds[..., :3] = clouds[..., 3:4]
     clouds[..., 5:] = clouds[..., 3:4]
-    length = batch.problem.gauge.length[:, None] + block.gauge_error
-    cost = np.zeros(BLOCK)
+    length = batch.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+    cost = np.zeros(TRIALS_PER_STREAM)
     distance_forces(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
     for k in (3, 4):
-        problem = DistanceProblem(recording_of(truth, block, k), misalignment(), batch.problem.prior_sigma)
-        rows = mean_rows(problem, problem.at(np.zeros(16)))
-        assert cost[k] == pytest.approx(float(rows.residual @ rows.residual), rel=1e-6)
+        problem = DistanceProblem(
+            recording_of_trial(truth, block, k), misalignment_construction(), batch.distance_problem.prior_sigma
+        )
+        rows = mean_deviation_rows(problem, problem.distances_at(np.zeros(16)))
+        assert cost[k] == pytest.approx(float(rows.residuals @ rows.residuals), rel=1e-6)
 
 
 def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
-    batch = BatchDistance(make_truth(), misalignment())
-    block = batch.truth.draw(23, 0)
-    block.deviation[30, 0, 5] -= 8e-3
+    batch = BatchDistance(make_truth(), misalignment_construction())
+    block = batch.truth.draw_block(23, 0)
+    block.reading_deviations[30, 0, 5] -= 8e-3
     found = batch.calibrate(block, np.array([4, 5]))
-    assert [STATUSES[s] for s in found.status[[4, 5]]] == ["converged", "full solver"]
-    single = batch.single.calibrate(block, np.array([5]))
-    assert np.array_equal(found.values[:, :, 5], single.values[:, :, 5])
+    assert [TRIAL_STATUSES[s] for s in found.status_indices[[4, 5]]] == ["converged", "full solver"]
+    single = batch.serial_calibrator.calibrate(block, np.array([5]))
+    assert np.array_equal(found.instrument_values[:, :, 5], single.instrument_values[:, :, 5])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("faces", [1, 2])
 def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""
-    batch = BatchDistance(make_truth(faces=faces), misalignment(), method="distance-l1")
-    block = batch.truth.draw(24, 0)
-    block.deviation[11::60, 0, 3] += 3e-4
+    batch = BatchDistance(make_truth(faces=faces), misalignment_construction(), method="distance-l1")
+    block = batch.truth.draw_block(24, 0)
+    block.reading_deviations[11::60, 0, 3] += 3e-4
     found = batch.calibrate(block, np.array([2, 3, 200]))
-    assert np.all(found.status[[2, 3, 200]] == 0)
-    assert max(batch.difference(block, k, found) for k in (2, 200)) < 1e-3
-    assert batch.difference(block, 3, found) < 2e-3  # 0.3 mm off: 1.1e-3, here and on a8a5717
-    squares = BatchDistance(batch.truth, misalignment()).calibrate(block, EVERY)
-    assert not np.allclose(squares.values[:, :, 3], found.values[:, :, 3], rtol=0.01)
+    assert np.all(found.status_indices[[2, 3, 200]] == 0)
+    assert max(batch.largest_difference(block, k, found) for k in (2, 200)) < 1e-3
+    assert batch.largest_difference(block, 3, found) < 2e-3  # 0.3 mm off: 1.1e-3, here and on a8a5717
+    squares = BatchDistance(batch.truth, misalignment_construction()).calibrate(block, EVERY)
+    assert not np.allclose(squares.instrument_values[:, :, 3], found.instrument_values[:, :, 3], rtol=0.01)

@@ -10,9 +10,9 @@ import pytest
 
 from ltsim.campaigns.campaign import run_campaign
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.judge import TrialEvaluator
-from ltsim.campaigns.results import Results
+from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.reports.sections.campaign import MAX_ROWS
@@ -39,7 +39,7 @@ def begun(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def rows(folder: Path, columns: str = "trial, error_raw_um") -> set[tuple[object, ...]]:
-    return set(Results(folder).query(f"SELECT noise_factor, {columns} FROM rows"))
+    return set(CampaignResults(folder).query(f"SELECT noise_factor, {columns} FROM rows"))
 
 
 @pytest.mark.parametrize(
@@ -66,12 +66,12 @@ def test_a_grown_campaign_takes_what_is_missing(
     file, out = begun
     before = rows(out)
     file.write_text(FILE.replace(*change))
-    calls = {name: list[int]() for name in ("calibrate", "difference", "after")}
+    calls = {name: list[int]() for name in ("calibrate", "largest_difference", "method_columns")}
     with monkeypatch.context() as counted:
         for owner, name, size in (
             (BatchCalibrator, "calibrate", len),
-            (BatchCalibrator, "difference", int),
-            (TrialEvaluator, "after", id),
+            (BatchCalibrator, "largest_difference", int),
+            (TrialEvaluator, "method_columns", id),
         ):
             plain = getattr(owner, name)
 
@@ -81,22 +81,26 @@ def test_a_grown_campaign_takes_what_is_missing(
 
             counted.setattr(owner, name, noted)
         outcome = run_campaign(file, out, resume=True)
-    assert (outcome.shards, outcome.existing, outcome.notes) == (shards, kept, ())
-    assert (sum(calls["calibrate"]), len(calls["difference"]), len(calls["after"])) == (trials, repeated, judged)
+    assert (outcome.n_computed_shards, outcome.n_existing_shards, outcome.notes) == (shards, kept, ())
+    assert (sum(calls["calibrate"]), len(calls["largest_difference"]), len(calls["method_columns"])) == (
+        trials,
+        repeated,
+        judged,
+    )
     run_campaign(file, tmp_path / "anew")
     assert before <= rows(out) == rows(tmp_path / "anew")
     for name in () if change[0] == "[1.0, 2.0]" else [p.relative_to(out) for p in out.rglob("*.parquet")]:
         anew, grown = tmp_path / "anew" / name, out / name
         assert pq.read_table(grown).select(pq.read_table(anew).column_names).equals(pq.read_table(anew))
         assert anew.read_bytes() == grown.read_bytes() or '["truth' in change[1]  # whose order is another
-    assert run_campaign(file, out, resume=True).shards == 0
+    assert run_campaign(file, out, resume=True).n_computed_shards == 0
 
 
 def test_a_smaller_file_loses_nothing(begun: tuple[Path, Path]) -> None:
     file, out = begun
     file.write_text(FILE.replace("trials = 24", "trials = 8"))
     before = rows(out)
-    assert run_campaign(file, out, resume=True).shards == 0 and rows(out) == before
+    assert run_campaign(file, out, resume=True).n_computed_shards == 0 and rows(out) == before
 
 
 @pytest.mark.parametrize(
@@ -120,10 +124,10 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     file.write_text(FILE)
     command = ["campaign", str(file), "-q", "--set"]
     assert run([*command, "work.faces=2", "--set", "trials=8", "--set", "instrument.noise_factor=1.0"]) == 0
-    results = Results(out)
+    results = CampaignResults(out)
     assert results.manifest.trials == 8 and [level["noise_factor"] for level in results.levels] == [1.0]
     assert results.manifest.scenarios[0].model_dump()["work"]["faces"] == 2
-    assert run_campaign(out / "campaign.toml", out, resume=True).shards == 0
+    assert run_campaign(out / "campaign.toml", out, resume=True).n_computed_shards == 0
     for wrong in ("work.faces", "work.faces=3", "work.face=2"):
         assert run([*command, wrong, "--out", str(tmp_path / "no")]) == 2
     said = capsys.readouterr().err.splitlines()
@@ -161,5 +165,5 @@ def test_damaged_shards_of_a_grown_campaign_are_done_again(begun: tuple[Path, Pa
     shard.write_bytes(shard.read_bytes()[:500])
     file.write_text(FILE.replace("trials = 24", "trials = 32"))
     outcome = run_campaign(file, out, resume=True)
-    assert outcome.shards == 3 and "is damaged" in outcome.notes[0]
+    assert outcome.n_computed_shards == 3 and "is damaged" in outcome.notes[0]
     assert pq.read_table(shard).equals(whole)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.evaluation.clouds import on_points
-from ltsim.campaigns.judge import MICRO, TrialEvaluator
-from ltsim.campaigns.rows import ShardTask, shard_rows
-from ltsim.campaigns.spec import Campaign
-from ltsim.campaigns.truth import truth_of
+from ltsim.adjustment.evaluation.clouds import align_to_points
+from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.spec import CampaignFile
+from ltsim.campaigns.trial_evaluation import MICROMETRES_PER_METRE, TrialEvaluator
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.geometry.polar import from_polar
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
+from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 
 SEEN_BY_LAST = (3, 3, 3, 2, 3, 3, 2, 3)
 """Targets that S6 reaches in the geometries of trials 0 to 7."""
@@ -25,27 +25,27 @@ def with_far_station(*, levelled: bool) -> Scenario:
     table["stations"]["S6"] = {"position_mm": [6000.0, 5000.0, 1900.0], "yaw_deg": 225.0}
     for station in table["stations"].values():
         station["levelled"] = levelled
-    return scenario_from(table, Path("far.toml"))
+    return validate_scenario(table, Path("far.toml"))
 
 
 def rows(scenario: Scenario) -> dict[str, list[object]]:
-    campaign = Campaign(format="ltsim-campaign/1", trials=len(SEEN_BY_LAST), geometry="per-trial", verify=0)
-    return dict(shard_rows(ShardTask(campaign, scenario, "", 0, 0)).to_pydict())
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=len(SEEN_BY_LAST), geometry="per-trial", verify=0)
+    return dict(make_shard_rows(ShardTask(campaign, scenario, "", 0, 0)).to_pydict())
 
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
-    truth = truth_of(with_far_station(levelled=True), 0, "campaign", 2)
-    judge, block = TrialEvaluator(truth), truth.draw(0, 2, 1)
-    assert judge.visible.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
-    assert not judge.comparable
+    truth = make_cell_truth(with_far_station(levelled=True), 0, "campaign", 2)
+    judge, block = TrialEvaluator(truth), truth.draw_block(0, 2, 1)
+    assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.has_frame.tolist() == [True] * 5 + [False]
+    assert not judge.has_criteria
     recording, total = truth.recording, []
     for station in range(5):
         mine = recording.station == station
-        cloud = from_polar(truth.readings(block, 0)[mine])
-        goal = truth.state.points[recording.target[mine]]
-        total.append(np.sum((on_points(cloud, goal) - goal) ** 2, axis=1))
-    expected = MICRO * np.sqrt(np.concatenate(total).mean())
-    assert judge.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
+        cloud = from_polar(truth.trial_readings(block, 0)[mine])
+        goal = truth.state.target_points[recording.target[mine]]
+        total.append(np.sum((align_to_points(cloud, goal) - goal) ** 2, axis=1))
+    expected = MICROMETRES_PER_METRE * np.sqrt(np.concatenate(total).mean())
+    assert judge.common_columns(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_rows_of_geometries_that_see_different_things() -> None:
@@ -63,17 +63,17 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 
 
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
-    truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
+    truth = make_cell_truth(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
     judge, draw = TrialEvaluator(truth), np.random.default_rng(5)
-    points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
+    points = 1e-5 * draw.standard_normal((*truth.state.target_points.shape, 4))
     whole = judge.target_error(points)
     lost = points.copy()
     lost[7, :, 2] = np.nan
     found = judge.target_error(lost)
     assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
     kept = np.arange(len(points)) != 7
-    true = truth.state.points[kept]
-    gap = on_points(true + points[kept][:, :, 2], true) - true
-    assert found[2] == pytest.approx(MICRO * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
+    true = truth.state.target_points[kept]
+    gap = align_to_points(true + points[kept][:, :, 2], true) - true
+    assert found[2] == pytest.approx(MICROMETRES_PER_METRE * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
     lost[:, :, 1] = np.nan
     assert np.isnan(judge.target_error(lost)[1])

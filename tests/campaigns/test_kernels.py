@@ -10,16 +10,16 @@ import numba
 import numpy as np
 import pytest
 
-from ltsim.campaigns.compiled import compiled
+from ltsim.campaigns.compiled import compile_function
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.kernels import points_of
+from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.geometry.polar import wrap
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.geometry.polar import wrap_angle
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 
-CONSTRUCTIONS = {"misalignment": misalignment, "dh": dh, "dh-4": lambda: dh(4)}
+CONSTRUCTIONS = {"misalignment": misalignment_construction, "dh": dh_construction, "dh-4": lambda: dh_construction(4)}
 
 
 @pytest.mark.parametrize("faces", [1, 2])
@@ -30,15 +30,17 @@ def test_points_and_readings_are_those_of_the_construction(
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
     rng = np.random.default_rng(4)
-    values = truth.population.sigma[:, :, None] * rng.standard_normal((*truth.population.sigma.shape, BLOCK))
-    deviation = truth._exact(values)
+    values = truth.distributions.instrument_sigmas[:, :, None] * rng.standard_normal(
+        (*truth.distributions.instrument_sigmas.shape, TRIALS_PER_STREAM)
+    )
+    deviation = truth._exact_deviations(values)
     points = np.empty_like(deviation)
-    points_of(truth.program_of(truth.construction), truth.recording.instrument, deviation, values, points)
-    for k in range(0, BLOCK, 50):
+    compute_points(truth.chain_program(truth.construction), truth.recording.instrument, deviation, values, points)
+    for k in range(0, TRIALS_PER_STREAM, 50):
         raw = truth.recording.readings + deviation[:, :, k]
-        exact = built.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+        exact = built.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
         gap = raw - exact
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(deviation[:, :, k]).max() > 1e-5
         assert np.abs(gap).max() < 5e-12  # 1e-6 sigma: second derivatives of the bases
         assert np.abs(points[:, :, k] - built.point(raw, values[0, :, k])).max() < 2e-11
@@ -47,37 +49,43 @@ def test_points_and_readings_are_those_of_the_construction(
 def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., CellTruth]) -> None:
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
-    values = np.zeros((1, 16, BLOCK))
-    values[:, :7] = truth.population.sigma[:, :7, None] * np.random.default_rng(5).standard_normal((1, 7, BLOCK))
-    deviation = truth._exact(values)
-    for k in range(0, BLOCK, 50):
-        exact = truth.construction.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+    values = np.zeros((1, 16, TRIALS_PER_STREAM))
+    values[:, :7] = truth.distributions.instrument_sigmas[:, :7, None] * np.random.default_rng(5).standard_normal(
+        (1, 7, TRIALS_PER_STREAM)
+    )
+    deviation = truth._exact_deviations(values)
+    for k in range(0, TRIALS_PER_STREAM, 50):
+        exact = truth.construction.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
         gap = truth.recording.readings + deviation[:, :, k] - exact
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(gap).max() < 1e-13
 
 
 def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
-    program = ChainProgram.of(misalignment(), truth.recording.readings)
-    assert len(program.turns) == 8
-    assert sorted(program.fed) == list(range(16))
+    program = ChainProgram.from_construction(misalignment_construction(), truth.recording.readings)
+    assert len(program.is_rotation) == 8
+    assert sorted(program.parameter_indices) == list(range(16))
 
 
 def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
-    network: BatchNetwork = engine.network
-    block = engine.truth.draw(3, 0)
-    size = network.sizes[-1]
+    network: BatchNetwork = engine.batch_network
+    block = engine.truth.draw_block(3, 0)
+    size = network.end_indices[-1]
     rng = np.random.default_rng(6)
     spread = np.sqrt(np.diag(network.covariance))[:, None]
-    x = 3 * spread * rng.standard_normal((size, BLOCK))
+    x = 3 * spread * rng.standard_normal((size, TRIALS_PER_STREAM))
     direction = spread * rng.standard_normal((size, 1))
 
     def cost_and_gradient(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gradient, cost, predicted = np.empty_like(at), np.empty(BLOCK), np.zeros_like(block.deviation)
+        gradient, cost, predicted = (
+            np.empty_like(at),
+            np.empty(TRIALS_PER_STREAM),
+            np.zeros_like(block.reading_deviations),
+        )
         for _ in range(3):  # the predicted readings settle
-            network._gradient(at, block.deviation, block.gauge_error, predicted, gradient, cost)
+            network._gradient(at, block.reading_deviations, block.length_errors, predicted, gradient, cost)
         return cost, gradient
 
     step = 1e-2
@@ -98,4 +106,4 @@ def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: p
         return numba.njit(cache=cache, **options)
 
     monkeypatch.setattr("ltsim.campaigns.compiled.numba", SimpleNamespace(njit=nowhere))
-    assert compiled(lambda x: x * x)(3.0) == 9.0
+    assert compile_function(lambda x: x * x)(3.0) == 9.0

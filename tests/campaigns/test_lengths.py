@@ -7,7 +7,7 @@ import numpy as np
 import ltsim as lt
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.truth import make_cell_truth
 
 BARS = lt.scenario(
     "paper-workshop",
@@ -25,17 +25,19 @@ BARS = lt.scenario(
 
 
 def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
-    truth = truth_of(BARS, 4, "campaign")
-    block = truth.draw(4, 0)
+    truth = make_cell_truth(BARS, 4, "campaign")
+    block = truth.draw_block(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
-    assert max(engine.difference(block, k, found) for k in (0, 100)) < 2e-4
-    z = ((found.values - block.values) / found.sigma[:, :, None])[0]
+    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 2e-4
+    z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     scale = truth.construction.index("range-scale")
-    assert found.sigma[0, scale] < 0.8 * truth.population.sigma[0, scale]  # the bars tell something
-    dof = engine.network.problem.dof
+    assert (
+        found.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_sigmas[0, scale]
+    )  # the bars tell something
+    dof = engine.batch_network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
     distance = BatchDistance(truth, truth.construction)
     compared = distance.calibrate(block, np.arange(len(found.chi2)))
-    assert max(distance.difference(block, k, compared) for k in (0, 3)) < 1e-3
+    assert max(distance.largest_difference(block, k, compared) for k in (0, 3)) < 1e-3

@@ -12,12 +12,12 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import share
-from ltsim.campaigns.rows import ShardTask, shard_rows
-from ltsim.campaigns.schema import COLUMNS, column_of
-from ltsim.campaigns.spec import Campaign, judge_of
+from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
+from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.physics.effects import CATALOGUE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, load_scenario
 from tests.networks import share_removed
@@ -31,11 +31,11 @@ class SlowWarp(Effect):
     """Elevation creeps with time: an effect of this session, without a card or a package."""
 
     name = "slow-warp"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     parameters = (Parameter("rate", "urad/h", "elevation", 20e-6 / 3600),)
 
     def design(self, sightings: Sightings) -> np.ndarray:
-        return on_readings(sightings, elevation=sightings.time)[:, :, None]
+        return design_from_front_face_corrections(sightings, elevation=sightings.time)[:, :, None]
 
 
 @pytest.fixture(autouse=True)
@@ -48,14 +48,14 @@ def session() -> Iterator[None]:
     CATALOGUE.__dict__.update(kept)
 
 
-def campaign(**more: Any) -> Campaign:
+def campaign(**more: Any) -> CampaignFile:
     base = {"format": "ltsim-campaign/1", "seed": 4, "trials": 48, "verify": 1}
-    return Campaign.model_validate({**base, **more})
+    return CampaignFile.model_validate({**base, **more})
 
 
-def rows(made: Campaign, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
-    judge = judge_of(made.judge_in, scenario, Path("campaign.toml")) if made.judge_in else None
-    return dict(shard_rows(ShardTask(made, scenario, "", 0, 0, judge)).to_pydict())
+def rows(made: CampaignFile, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
+    judge = make_validation_scenario(made.judge_in, scenario, Path("campaign.toml")) if made.judge_in else None
+    return dict(make_shard_rows(ShardTask(made, scenario, "", 0, 0, judge)).to_pydict())
 
 
 @pytest.mark.long
@@ -66,33 +66,36 @@ def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: 
     raw, after, perfect = (np.array(found[name]) for name in ERRORS)
     assert np.mean(perfect) < np.mean(after) and np.all(after < raw)
     room = load_scenario("paper-laboratory")
-    names = lt.calibrate(lt.simulate(PAPER, seed=4).recording).names
+    names = lt.calibrate(lt.simulate(PAPER, seed=4).recording).instrument_parameter_names
     for trial in range(2):
         exact = {name: found[f"true:{name}"][trial] for name in names}
         seen, truth = lt.simulate(room, seed=9, trial=trial, changes={"instrument.errors": exact})
         built = lt.calibrate(lt.simulate(PAPER, seed=4).recording).construction
         values = np.array(
-            [found[f"estimate:{n}"][trial] * p.factor for n, p in zip(names, built.parameters, strict=True)]
+            [
+                found[f"estimate:{n}"][trial] * p.si_per_display_unit
+                for n, p in zip(names, built.parameters, strict=True)
+            ]
         )
-        true = np.array([truth.instrument[n] for n in names])
-        judged = share_removed(seen, truth.points, built, calibrated=values, true_parameters=true)
+        true = np.array([truth.instrument_values[n] for n in names])
+        judged = share_removed(seen, truth.target_points, built, calibrated=values, true_parameters=true)
         # Another noise, another placing: the same instrument's error to a fifth.
-        assert raw[trial] == pytest.approx(1e6 * judged.raw, rel=0.2)
-        assert perfect[trial] == pytest.approx(1e6 * judged.true_parameters, rel=0.2)
-        assert after[trial] == pytest.approx(1e6 * judged.calibrated, rel=0.25)
+        assert raw[trial] == pytest.approx(1e6 * judged.raw_rms, rel=0.2)
+        assert perfect[trial] == pytest.approx(1e6 * judged.true_parameters_rms, rel=0.2)
+        assert after[trial] == pytest.approx(1e6 * judged.calibrated_rms, rel=0.25)
 
 
 def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Path) -> None:
     table = "target,x_mm,y_mm,z_mm\nA,500,500,1500\nB,5500,600,2500\nC,800,5400,700\nD,5200,5300,3200\n"
     (tmp_path / "points.csv").write_text(table)
-    judge = judge_of("points.csv", PAPER, tmp_path / "campaign.toml")
+    judge = make_validation_scenario("points.csv", PAPER, tmp_path / "campaign.toml")
     assert tuple(judge.targets) == ("A", "B", "C", "D") and judge.gauge is None
     assert judge.stations == PAPER.stations and judge.instrument == PAPER.instrument
     made = campaign(judge_in=str(tmp_path / "points.csv"), statistics=["errors"], trials=8)
     assert all(value is not None for name in ERRORS for value in rows(made)[name])
     for lost, says in (("nowhere.csv", "nowhere.csv"), ("two-trackers", "should name the trackers of the cells")):
         with pytest.raises(SetupError, match=says):
-            judge_of(lost, PAPER, tmp_path / "campaign.toml")
+            make_validation_scenario(lost, PAPER, tmp_path / "campaign.toml")
 
 
 @pytest.mark.long
@@ -123,7 +126,7 @@ def test_what_calibrate_fits_is_taken_out_of_what_it_improves() -> None:
 
 
 def test_an_effect_of_the_session_is_checked() -> None:
-    assert SlowWarp in CATALOGUE and CATALOGUE.of_session == (SlowWarp,)
+    assert SlowWarp in CATALOGUE and CATALOGUE.session_effects == (SlowWarp,)
     with pytest.raises(ModelError, match="not a class derived from"):
         lt.add_effect(int)
     with pytest.raises(ModelError, match="has an effect 'head-sag' already"):
@@ -153,7 +156,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
         for _, own in frame.groupby("faces")
     ]
     assert faces.entries[0].difference == pytest.approx(shares[1] - shares[0], rel=1e-5)
-    spread = next(s for s in results.spread("share_removed") if (s.cell, s.method) == (0, "network"))
+    spread = next(s for s in results.distribution("share_removed") if (s.cell, s.method) == (0, "network"))
     assert spread.mean == pytest.approx(shares[0], rel=1e-5) and spread.low < spread.mean < spread.high
     for wrong in ({"method": ("distance", "nothing")}, {"face": (1, 2)}, {"faces": (1, 3)}):
         with pytest.raises(ModelError):
@@ -164,8 +167,8 @@ def test_every_column_of_rows_is_defined_once() -> None:
     made = campaign(
         trials=4, statistics=["criteria", "errors", "z-scores", "estimates", "truth"], judge_in="paper-workshop"
     )
-    judge = judge_of(made.judge_in, PAPER, Path("campaign.toml"))
-    schema = shard_rows(ShardTask(made, PAPER, "", 0, 0, judge)).schema
+    judge = make_validation_scenario(made.judge_in, PAPER, Path("campaign.toml"))
+    schema = make_shard_rows(ShardTask(made, PAPER, "", 0, 0, judge)).schema
     results = [field for field in schema if field.name not in ("cell", "method", "trial", "status")]
-    assert all(field.metadata[b"meaning"].decode() == column_of(field.name).meaning for field in results)
-    assert len({column.name for column in COLUMNS}) == len(COLUMNS)
+    assert all(field.metadata[b"meaning"].decode() == find_column(field.name).meaning for field in results)
+    assert len({column.name for column in RESULT_COLUMNS}) == len(RESULT_COLUMNS)

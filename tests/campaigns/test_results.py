@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.statistics import Statistics
+from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.core.errors import ModelError, SetupError
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.reports.document import TableBlock
 from ltsim.reports.figures.campaign import swept
 from ltsim.reports.figures.campaign_factors import cell_words
@@ -48,7 +48,7 @@ def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> N
     cube = sweep.to_xarray("target_error_um", "share_removed")
     assert cube.sizes == {"calibrator": 2, "faces": 2, "angle_noise_arcsec": 2}
     one = cube.sel(calibrator="distance", faces=2, angle_noise_arcsec=0.4)
-    entry = next(s for s in sweep.spread("target_error_um") if (s.cell, s.method) == (2, "distance"))
+    entry = next(s for s in sweep.distribution("target_error_um") if (s.cell, s.method) == (2, "distance"))
     assert sweep.levels[2] == {"faces": 2, "angle_noise_arcsec": 0.4}
     assert (float(one.target_error_um), float(one.target_error_um_low)) == (entry.mean, entry.low)
     assert cube.target_error_um.attrs["units"] == "um"
@@ -78,7 +78,7 @@ def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) ->
     def mean(errors: np.ndarray) -> float:
         return float(errors.mean())
 
-    entries, exact = sweep.statistic(mean, "target_error_um"), sweep.spread("target_error_um")
+    entries, exact = sweep.statistic(mean, "target_error_um"), sweep.distribution("target_error_um")
     assert [(e.cell, e.method, e.column) for e in entries] == [(s.cell, s.method, "mean") for s in exact]
     for entry, spread in zip(entries, exact, strict=True):
         assert entry.mean == pytest.approx(spread.mean, rel=1e-6)
@@ -112,7 +112,7 @@ def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:
     made = lt.campaign(SWEEP | {"grid": {"work.targets": [8, 24, 16]}, "methods": [{}]}, out=tmp_path / "grown")
     cube = made.to_xarray("target_error_um")
     assert cube.targets.values.tolist() == [8, 16, 24]
-    assert float(cube.target_error_um.sel(targets=24)[0]) == made.spread("target_error_um")[1].mean
+    assert float(cube.target_error_um.sel(targets=24)[0]) == made.distribution("target_error_um")[1].mean
 
 
 def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert list(pool.map(described, results)) == [described(result) for result in results]
         (again,) = pool.map(lt.calibrate, [recording])
-    assert np.array_equal(again.values, calibration.values)
+    assert np.array_equal(again.estimates, calibration.estimates)
     assert lt.campaign(sweep.folder) == sweep
 
 
@@ -148,17 +148,17 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     scenario = lt.scenario("paper-workshop", changes)
     recording, _ = lt.simulate(scenario, seed=3, trial=17)
     found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
-    judged = lt.judge(scenario, found, "paper-laboratory", seed=3, trial=17).table()
+    judged = lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=17).table()
     for kind in ("raw", "calibrated", "true_parameters"):
         sql = f"SELECT new_point_error_{kind}_um FROM rows WHERE cell = 0 AND trial = 17 ORDER BY method DESC"
         assert judged.column(f"error_{kind}_um") == pytest.approx([row[0] for row in sweep.query(sql)], rel=1e-4)
     assert judged.column("calibration") == ["network", "distance"]
-    alone = lt.judge(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
+    alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
     with pytest.raises(SetupError, match="'network' calibrates another recording than that of seed 3, trial 16"):
-        lt.judge(scenario, found, "paper-laboratory", seed=3, trial=16)
+        lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
     with pytest.raises(SetupError, match="no calibration to judge"):
-        lt.judge(scenario, {}, "paper-laboratory", seed=3, trial=17)
+        lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
 
 def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> None:
@@ -167,9 +167,9 @@ def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> No
     rows = lt.campaign(campaign, out=tmp_path / "rows")
     recording, _ = lt.simulate("paper-workshop", seed=1, trial=1)
     found = lt.calibrate(recording)
-    assert not np.array_equal(found.applied, found.values)  # else both are one
+    assert not np.array_equal(found.applied_values, found.estimates)  # else both are one
     for method, applied in (("network", False), ("applied", True)):
-        judged = lt.judge("paper-workshop", found, "paper-laboratory", applied=applied, seed=1, trial=1)
+        judged = lt.compare_calibrations("paper-workshop", found, "paper-laboratory", applied=applied, seed=1, trial=1)
         sql = f"SELECT new_point_error_calibrated_um FROM rows WHERE trial = 1 AND method = '{method}'"
         (row,) = rows.query(sql)
         assert judged.table().column("error_calibrated_um") == pytest.approx([row[0]], rel=1e-4)
@@ -198,7 +198,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
-        means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]
+        means = [number_text(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
     (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
     meanings = listed.text.splitlines()
@@ -212,7 +212,7 @@ def test_an_interruption_of_a_query_is_an_interruption(sweep: Any, monkeypatch: 
 
     long = "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range * b.range % 7 = 3"
     before = signal.signal(signal.SIGVTALRM, interrupt)
-    monkeypatch.setattr(Statistics, "_lines", lambda self: [str(self.query(long))])
+    monkeypatch.setattr(CampaignStatistics, "_lines", lambda self: [str(self.query(long))])
     for work in (lambda: sweep.query(long), lambda: str(sweep)):
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.1)
         try:

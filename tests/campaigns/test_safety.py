@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from ltsim.campaigns.campaign import commit, run_campaign
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.store import Store
+from ltsim.campaigns.campaign import checkout_commit, run_campaign
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.store import CampaignFolder
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
@@ -22,29 +22,29 @@ from tests.campaigns.small import FILE
 
 def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    shard = Store(tmp_path / "out").shard_path(0, 1)
+    shard = CampaignFolder(tmp_path / "out").shard_path(0, 1)
     whole = shard.read_bytes()
-    before = Results(tmp_path / "out").summary()
+    before = CampaignResults(tmp_path / "out").summary()
     for place in stream(3, "flips").integers(0, 8 * len(whole), 25):
         flipped = bytearray(whole)
         flipped[place // 8] ^= 1 << (place % 8)
         shard.write_bytes(flipped)
         with pytest.raises(SetupError, match=r"a shard cannot be read.*--resume"):
-            Results(tmp_path / "out")
+            CampaignResults(tmp_path / "out")
     shard.write_bytes(whole)
     (tmp_path / "out" / "rows.sha256").unlink()
-    assert Results(tmp_path / "out").summary() == before
+    assert CampaignResults(tmp_path / "out").summary() == before
 
 
 def test_a_shard_of_another_campaign_is_refused_without_digests(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
     file.write_text(FILE.replace("seed = 5", "seed = 6"))
     run_campaign(file, tmp_path / "other")
-    foreign = Store(tmp_path / "other").shard_path(0, 0).read_bytes()
-    Store(tmp_path / "out").shard_path(0, 0).write_bytes(foreign)
+    foreign = CampaignFolder(tmp_path / "other").shard_path(0, 0).read_bytes()
+    CampaignFolder(tmp_path / "out").shard_path(0, 0).write_bytes(foreign)
     (tmp_path / "out" / "rows.sha256").unlink()
     with pytest.raises(SetupError, match="belongs to another campaign"):
-        Results(tmp_path / "out")
+        CampaignResults(tmp_path / "out")
 
 
 def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
@@ -55,15 +55,16 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
     for name in ("run[1]", "run*", "it's"):
         run_campaign(file, tmp_path / name)
     means = {
-        name: Results(tmp_path / name).spread("target_error_um")[0].mean for name in ("run1", "run[1]", "run*", "it's")
+        name: CampaignResults(tmp_path / name).distribution("target_error_um")[0].mean
+        for name in ("run1", "run[1]", "run*", "it's")
     }
     assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]
-    assert run_campaign(file, tmp_path / "run[1]", resume=True).existing == 2
+    assert run_campaign(file, tmp_path / "run[1]", resume=True).n_existing_shards == 2
 
 
 def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    texts = {Results(tmp_path / "out").table("summary").csv() for _ in range(3)}
+    texts = {CampaignResults(tmp_path / "out").table("summary").csv() for _ in range(3)}
     assert len(texts) == 1
 
 
@@ -83,7 +84,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
     with pytest.raises(SetupError, match="changed since this campaign started"):
         run_campaign(file, out, resume=True)
     cad.unlink()
-    assert run_campaign(out / "campaign.toml", out, resume=True).existing == 2
+    assert run_campaign(out / "campaign.toml", out, resume=True).n_existing_shards == 2
 
 
 @pytest.mark.parametrize(
@@ -107,8 +108,8 @@ def test_beginning_anew_takes_a_word(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run_campaign(file, out)
     file.write_text(FILE.replace("trials = 600", "trials = 8").replace("seed = 5", "seed = 6"))
-    assert run_campaign(file, out, force=True).shards == 2
-    assert Results(out).manifest.seed == 6
+    assert run_campaign(file, out, force=True).n_computed_shards == 2
+    assert CampaignResults(out).manifest.seed == 6
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "campaign.toml").write_text("mine")
     with pytest.raises(SetupError, match=r"contains campaign\.toml but no campaign.*--force"):
@@ -124,7 +125,7 @@ def test_a_manifest_without_cells_is_a_sentence(file: Path, tmp_path: Path) -> N
     del manifest["cells"]
     (out / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(SetupError, match="cells: Field required"):
-        Results(out)
+        CampaignResults(out)
 
 
 def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) -> None:
@@ -137,9 +138,9 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
     assert whole.count("\n") == 2
     for cut in (whole[:-20], whole[:100], whole[:-1], whole + "abc", whole + whole, "\x00" + whole):
         digests.write_text(cut)
-        assert run_campaign(file, out, resume=True).existing == 2
+        assert run_campaign(file, out, resume=True).n_existing_shards == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
-        assert Store(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
+        assert CampaignFolder(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
     assert not list(out.rglob(".ltsim-*"))
 
 
@@ -192,7 +193,7 @@ def test_a_commit_is_of_the_checkout_of_ltsim_alone(
     monkeypatch.setattr("ltsim.campaigns.campaign.__file__", str(file))
     monkeypatch.setenv("GIT_DIR", str(Path(__file__).parents[2] / ".git"))  # of no account
     monkeypatch.delenv("GIT_DIR" if own else "GIT_NOTHING", raising=False)
-    assert commit() == (git("rev-parse", "HEAD") if own else None)
+    assert checkout_commit() == (git("rev-parse", "HEAD") if own else None)
 
 
 def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,6 +202,6 @@ def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeyp
     assert content["versions"]["ltsim"] == version("ltsim")
     content["commit"] = None
     (tmp_path / "out" / "manifest.json").write_text(json.dumps(content))
-    monkeypatch.setattr("ltsim.campaigns.campaign.commit", lambda: "0123abc")
+    monkeypatch.setattr("ltsim.campaigns.campaign.checkout_commit", lambda: "0123abc")
     notes = run_campaign(file, tmp_path / "out", resume=True).notes
     assert any("started with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)

@@ -9,41 +9,43 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.columns import labels_of, parameter_columns
+from ltsim.campaigns.columns import parameter_columns, parameter_labels
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.recovery_trials import from_prior
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.recovery_trials import with_errors_from_prior
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.randomness import stream
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TWO = load_scenario("two-trackers")
 
 
 def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
-    truth = truth_of(TWO, 4, "campaign")
-    block = truth.draw(4, 0, 64)
-    assert block.values.shape == (2, 16, 64)
+    truth = make_cell_truth(TWO, 4, "campaign")
+    block = truth.draw_block(4, 0, 64)
+    assert block.instrument_values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):
-        for k, parameter in enumerate(truth.construction.names):
+        for k, parameter in enumerate(truth.construction.parameter_names):
             drawn = stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
             drawn[0] = stream(4, "instrument", name, parameter).standard_normal()
-            np.testing.assert_array_equal(block.values[i, k], truth.population.sigma[i, k] * drawn)
+            np.testing.assert_array_equal(
+                block.instrument_values[i, k], truth.distributions.instrument_sigmas[i, k] * drawn
+            )
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
-    z = (found.values - block.values) / found.sigma[:, :, None]
+    z = (found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None]
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
-    assert engine.difference(block, int(np.argmin(found.status)), found) < 1e-3
-    labels = labels_of(truth.construction, truth.recording.instruments, ())
+    assert engine.largest_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
+    labels = parameter_labels(truth.construction, truth.recording.instruments, ())
     columns = parameter_columns(labels, found.estimates[0], "estimate")
     tilt = truth.construction.index("beam-tilt")
-    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.values[1, tilt] * 1e6)
+    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
 
 
 def test_recovery_checks_every_trackers_parameters() -> None:
-    drawn = from_prior(load_scenario("two-trackers"))
-    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers.values())
+    drawn = with_errors_from_prior(load_scenario("two-trackers"))
+    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
-    assert found.failures() == [] and found.arrays.z.shape == (12, 32)
+    assert found.failed_checks() == [] and found.arrays.z_scores.shape == (12, 32)
     names = [p.parameter for p in found.parameters]
     assert names[0] == "range-offset@A" and names[31] == "elevation-second-order-sin@B"
 
@@ -54,6 +56,6 @@ def test_recovery_checks_every_trackers_parameters() -> None:
 def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
-    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
-    assert len(found.converged) == 60
-    assert 0.93 < np.mean(np.abs(found.z) < 1.96) < 0.97
+    found = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
+    assert len(found.trials_with_result) == 60
+    assert 0.93 < np.mean(np.abs(found.z_scores) < 1.96) < 0.97

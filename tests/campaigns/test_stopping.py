@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.campaigns.campaign import Workers, run_campaign
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.spec import Campaign, Stop
-from ltsim.campaigns.stopping import level_of, quantile, rounds, schedule
+from ltsim.campaigns.campaign import WorkerSettings, run_campaign
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.spec import CampaignFile, StoppingRule
+from ltsim.campaigns.stopping import evaluation_schedule, interval_error_rate, iterate_rounds, student_quantile
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 
@@ -48,7 +48,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
 
 def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, Path]) -> None:
     _, stopped, full = folders
-    found, whole = (Results(folder).spread("target_error_um") for folder in (stopped, full))
+    found, whole = (CampaignResults(folder).distribution("target_error_um") for folder in (stopped, full))
     assert [s.trials for s in whole] == [2048] * 4
     trials = [s.trials for s in found]
     assert trials[0] < trials[3] < trials[2] < 2048  # much noise in one face needs most
@@ -56,7 +56,7 @@ def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, P
         assert 0.5 * (few.high - few.low) <= 0.28
         assert few.low <= all_.mean <= few.high
     rows = [
-        Results(folder).query("SELECT cell, trial, target_error_um FROM rows ORDER BY 1, 2")
+        CampaignResults(folder).query("SELECT cell, trial, target_error_um FROM rows ORDER BY 1, 2")
         for folder in (stopped, full)
     ]
     assert set(rows[0]) < set(rows[1])
@@ -77,9 +77,9 @@ def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
     for resume in (False, True):
         with pytest.raises(KeyboardInterrupt):
             run_campaign(file, tmp_path / "out", resume=resume, progress=stop)
-    outcome = run_campaign(file, tmp_path / "out", workers=Workers(jobs=2), resume=True)
+    outcome = run_campaign(file, tmp_path / "out", workers=WorkerSettings(n_processes=2), resume=True)
     assert contents(tmp_path / "out") == contents(stopped)
-    assert outcome.existing >= 2 and "were not needed" in outcome.notes[-1]
+    assert outcome.n_existing_shards >= 2 and "were not needed" in outcome.notes[-1]
 
 
 def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tuple[int, str], float]:
@@ -93,16 +93,16 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
             for shard in range(shards)
         ]
         values = np.concatenate(parts)
-        level = level_of(looks * SHARD, SHARD, stops=True)
-        found[cell, METHOD] = quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
+        level = interval_error_rate(looks * SHARD, SHARD, stops=True)
+        found[cell, METHOD] = student_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
     return found
 
 
 def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     """Shards that each cell gets."""
-    stop = Stop(statistic="x", within=within)
-    campaign = Campaign(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
-    asked = rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
+    stop = StoppingRule(statistic="x", within=within)
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
+    asked = iterate_rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
     done = [shard for now in asked for shard in now]
     assert len(done) == len(set(done))
     return [sum(cell == k for cell, _ in done) for k in range(len(means))]
@@ -119,12 +119,12 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
     runs, trials, within = 2000, 1024, 0.22
     draw = stream(3, "coverage", shard, int(skewed))
     values = draw.gamma(4.0, 0.5, (runs, trials)) - 2.0 if skewed else draw.standard_normal((runs, trials))
-    level, open_ = level_of(trials, shard, stops=True), np.ones(runs, dtype=bool)
+    level, open_ = interval_error_rate(trials, shard, stops=True), np.ones(runs, dtype=bool)
     held = np.zeros(runs, dtype=bool)
-    for shards in schedule(trials, shard):
+    for shards in evaluation_schedule(trials, shard):
         count = min(shards * shard, trials)
         mean, spread = values[:, :count].mean(axis=1), values[:, :count].std(axis=1, ddof=1)
-        half = quantile(count, level) * spread / np.sqrt(count)
+        half = student_quantile(count, level) * spread / np.sqrt(count)
         ends = open_ & ((half <= within) | (count == trials))
         held[ends] = np.abs(mean[ends]) <= half[ends]
         open_ &= ~ends
@@ -134,13 +134,17 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
 def test_rounds_end_at_the_first_look_that_knows_enough() -> None:
     for seed in range(5):
         count = spent([0.0], within=0.1, seed=seed)[0]
-        looks = [shards for shards in schedule(40 * SHARD, SHARD) if shards <= count]
+        looks = [shards for shards in evaluation_schedule(40 * SHARD, SHARD) if shards <= count]
         known = [halves([0.0], shards, looks=40, seed=seed)[0, METHOD] for shards in looks]
         assert count == looks[-1] and known[-1] <= 0.1 and all(half > 0.1 for half in known[:-1])
 
 
 def test_looks_are_half_as_many_trials_again() -> None:
-    assert schedule(16, 1) == [16] and schedule(1000, 100) == [1, 2, 3, 5, 8, 10] and schedule(100, 16) == [4, 6, 7]
+    assert (
+        evaluation_schedule(16, 1) == [16]
+        and evaluation_schedule(1000, 100) == [1, 2, 3, 5, 8, 10]
+        and evaluation_schedule(100, 16) == [4, 6, 7]
+    )
 
 
 def test_a_statistic_that_rows_do_not_hold_is_named(tmp_path: Path) -> None:

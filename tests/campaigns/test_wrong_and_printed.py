@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltsim.campaigns.rows import ShardTask, shard_rows
-from ltsim.campaigns.spec import Campaign, judge_of
+from ltsim.campaigns.rows import ShardTask, make_shard_rows
+from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import RecordError
-from ltsim.recordings.settings import checked
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.recordings.settings import validate_settings
+from ltsim.simulation.scenario import change_scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 
 PAPER = load_scenario("paper-workshop")
@@ -23,9 +23,11 @@ ERROR = "new_point_error_calibrated_um"
 def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: Any) -> dict[str, Any]:
     """Columns as arrays; `key` of the scenario changed."""
     tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
-    made = Campaign.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
-    scenario = changed(PAPER, {key: value}, FILE)
-    table = shard_rows(ShardTask(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
+    made = CampaignFile.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
+    scenario = change_scenario(PAPER, {key: value}, FILE)
+    table = make_shard_rows(
+        ShardTask(made, scenario, "", 0, 0, make_validation_scenario(made.judge_in, scenario, FILE))
+    )
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
 
@@ -43,10 +45,10 @@ def test_the_batch_finds_the_minimum_of_equation_9_that_users_find() -> None:
 
 
 def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None:
-    wide = changed(PAPER, {"instrument.prior_factor": 100.0}, FILE)
+    wide = change_scenario(PAPER, {"instrument.prior_factor": 100.0}, FILE)
     (right, truth), (stated, same) = simulate(PAPER, 3), simulate(wide, 3)
     assert stated.setup.instrument.prior.angle_arcsec == 100 * right.setup.instrument.prior.angle_arcsec
-    assert dict(truth.instrument) == dict(same.instrument)
+    assert dict(truth.instrument_values) == dict(same.instrument_values)
     np.testing.assert_array_equal(right.readings, stated.readings)
 
 
@@ -67,4 +69,4 @@ def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None
 @pytest.mark.parametrize("method", [{"applied": True}, {"applied": True, "solver": "single", "method": "distance"}])
 def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
     with pytest.raises(RecordError, match="solver single"):
-        checked({"format": "ltsim-campaign/1", "methods": [method]}, Campaign, "campaign", FILE)
+        validate_settings({"format": "ltsim-campaign/1", "methods": [method]}, CampaignFile, "campaign", FILE)

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.measurement import State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Setup
 
@@ -26,10 +26,10 @@ def _points() -> np.ndarray:
     return np.array(mesh + gauge)
 
 
-def workshop(*, faces: int = 1, gauge: bool = True) -> tuple[Recording, State]:
+def workshop(*, faces: int = 1, gauge: bool = True) -> tuple[Recording, NetworkState]:
     """A recording whose readings are those of an ideal tracker, and its state in the first station's frame."""
     places = np.array([[3, 3, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.05], [5.3, 4.4, 1.95], [3.9, 5.5, 2.1]])
-    turns = np.array([about_z(np.deg2rad(a)) for a in (200.0, 150.0, -20.0, 75.0, 310.0)])
+    turns = np.array([rotation_about_z(np.deg2rad(a)) for a in (200.0, 150.0, -20.0, 75.0, 310.0)])
     rotation = turns[0].T @ turns
     position = (places - places[0]) @ turns[0]
     points = (_points() - places[0]) @ turns[0]
@@ -65,4 +65,4 @@ def workshop(*, faces: int = 1, gauge: bool = True) -> tuple[Recording, State]:
         time=30.0 * np.arange(len(station)),
         readings=to_face(to_polar(local), face),
     )
-    return recording, State(position, rotation, points, np.zeros((1, 16)))
+    return recording, NetworkState(position, rotation, points, np.zeros((1, 16)))

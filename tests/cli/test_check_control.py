@@ -16,7 +16,7 @@ def test_a_check_names_a_wrong_control_point(
 ) -> None:
     recording, _ = lt.simulate("paper-workshop-two-face", seed=4)
     lt.write(recording, tmp_path / "rec")
-    points = lt.calibrate(recording).points.copy() * 1e3
+    points = lt.calibrate(recording).target_points.copy() * 1e3
     points[8, 1] += error_mm
     rows = [f"{recording.targets[i]},{x:.6f},{y:.6f},{z:.6f},0.05" for i, (x, y, z) in list(enumerate(points))[::4]]
     (tmp_path / "control.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")

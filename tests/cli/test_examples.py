@@ -27,7 +27,7 @@ def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys:
     survey = lt.read(folder / "survey.csv")
     assert len(survey) > 20
     plan, scenario = load_plan(folder / "machine-plan.toml")
-    assert len(plan.listed) == len(scenario.targets) == 12
+    assert len(plan.listed_points) == len(scenario.targets) == 12
     assert load_campaign(folder / "campaign.toml", None)[0].trials > 1
     assert [task.name for task in load_tasks(folder / "uncertainty.toml").task] == ["length", "floor"]
     assert load_acceptance(folder / "acceptance.toml")

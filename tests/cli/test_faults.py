@@ -80,14 +80,14 @@ def test_an_interrupted_campaign_says_what_is_kept(
 ) -> None:
     from ltsim.campaigns import campaign
 
-    real = campaign.rows_of
+    real = campaign.n_rows_of_shard
 
     def stop(*arguments: object) -> int:
         if list((tmp_path / "few").glob("rows/*/*.parquet")):
             raise KeyboardInterrupt
         return real(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(campaign, "rows_of", stop)
+    monkeypatch.setattr(campaign, "n_rows_of_shard", stop)
     (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\nshard = 4\n')
     assert run(["campaign", str(tmp_path / "few.toml")]) == 130
     said = capsys.readouterr().err

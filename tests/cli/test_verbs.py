@@ -15,8 +15,8 @@ import pytest
 import ltsim.cli
 from ltsim.cli.main import VERBS, run
 from ltsim.core.errors import ModelError
-from ltsim.core.notation import aligned
-from ltsim.physics.effects import CATALOGUE, card_of
+from ltsim.core.notation import align_columns
+from ltsim.physics.effects import CATALOGUE, catalogue_entry
 from ltsim.recordings import read
 from ltsim.simulation.truth import read_truth
 
@@ -97,7 +97,7 @@ def test_json_alone_on_standard_output(workplace: Path, capsys, method: str) -> 
     content = json.loads(capsys.readouterr().out)
     assert content["method"] == method
     truth = read_truth(workplace / "truth.json")
-    z = [(p["value"] * 1e-6 - truth.instrument[p["name"]]) / (p["sigma"] * 1e-6) for p in content["parameters"]]
+    z = [(p["value"] * 1e-6 - truth.instrument_values[p["name"]]) / (p["sigma"] * 1e-6) for p in content["parameters"]]
     assert np.abs(z).max() < 4.5
 
 
@@ -184,7 +184,7 @@ def test_effects_lists_the_whole_catalogue(capsys) -> None:
 def test_the_card_of_every_effect(effect, capsys) -> None:
     assert run(["effects", effect.name]) == 0
     text = capsys.readouterr().out
-    assert text.startswith(f"{effect.name}: {card_of(effect).title} (")
+    assert text.startswith(f"{effect.name}: {catalogue_entry(effect).title} (")
     assert "Source" in text
     assert all(p.name in text for p in effect.parameters)
 
@@ -277,9 +277,9 @@ def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) 
 
 
 def test_tables() -> None:
-    assert aligned(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
+    assert align_columns(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
     with pytest.raises(ModelError):
-        aligned(["a"], [["x", "y"]])
+        align_columns(["a"], [["x", "y"]])
 
 
 WITHOUT = """

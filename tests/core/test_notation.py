@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltsim.core.notation import expanded, number, with_sigma
+from ltsim.core.notation import expanded, number_text, with_sigma
 
 
 @pytest.mark.parametrize(
@@ -29,4 +29,4 @@ def test_expanded_uncertainty_says_its_factor() -> None:
 
 
 def test_number_has_no_exponent_where_it_can_be_avoided() -> None:
-    assert [number(v) for v in (0.0, 12345.6, 1.23456, 1.5e7, None)] == ["0", "12346", "1.23", "1.50e+07", "-"]
+    assert [number_text(v) for v in (0.0, 12345.6, 1.23456, 1.5e7, None)] == ["0", "12346", "1.23", "1.50e+07", "-"]

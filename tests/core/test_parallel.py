@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.core.errors import WorkerError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 
 SLEEPERS = """
 import os, sys, time
@@ -30,9 +30,9 @@ if __name__ == "__main__":
 
 def test_results_come_in_order_and_as_they_come() -> None:
     calls = [(k, 2) for k in range(20)]
-    assert list(parallel(pow, calls, 1)) == [k * k for k in range(20)]
-    assert list(parallel(pow, calls, 2)) == [k * k for k in range(20)]
-    assert sorted(parallel(pow, calls, 2, ordered=False)) == [k * k for k in range(20)]
+    assert list(run_parallel(pow, calls, 1)) == [k * k for k in range(20)]
+    assert list(run_parallel(pow, calls, 2)) == [k * k for k in range(20)]
+    assert sorted(run_parallel(pow, calls, 2, ordered=False)) == [k * k for k in range(20)]
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path, root: Path) -> None:
@@ -71,7 +71,7 @@ def test_workers_end_when_their_parent_is_killed_while_they_start(tmp_path: Path
 
 def test_a_worker_that_is_killed_is_a_sentence() -> None:
     with pytest.raises(WorkerError, match="was killed"):
-        list(parallel(_die, [(1,), (2,)], 2))
+        list(run_parallel(_die, [(1,), (2,)], 2))
 
 
 def _die(number: int) -> None:

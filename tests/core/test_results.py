@@ -21,7 +21,7 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flags, numbers, texts
 from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
-from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 from tests.families import family
 
@@ -57,15 +57,15 @@ class Cloud(Result):
 def test_a_table_is_written_and_read_back():
     text = POINTS.filled(ROWS).csv()
     assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
-    again = POINTS.parsed(text)
+    again = POINTS.parse_csv(text)
     assert again.column("target") == ["=T1", "T2"]
     assert again.column("moved") == [True, False]
     assert np.isnan(again.column("sigma_x_mm")[1])
     assert again.csv() == text
     with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is not a number"):
-        POINTS.parsed(text.replace("1000.123490", "one"))
+        POINTS.parse_csv(text.replace("1000.123490", "one"))
     with pytest.raises(RecordError, match="the column moved is missing"):
-        POINTS.parsed(text.replace("moved", "went"))
+        POINTS.parse_csv(text.replace("moved", "went"))
 
 
 def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
@@ -180,8 +180,8 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
         lt.uncertainty(recording, {"task": [{"kind": "distance", "name": "d", "targets": ["T01", "T02"]}]}),
         lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}),
         lt.bench(Path(__file__).parents[2] / "docs" / "how-to" / "reflector.csv"),
-        InjectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
-        lt.judge("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
+        DetectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
+        lt.compare_calibrations("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
         lt.view("paper-workshop"),
         lt.plan(plan),
         campaign,

@@ -12,7 +12,7 @@ import pytest
 
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
-from ltsim.core.storage import place_in, settle, write_files
+from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.files import write_texts
 
 KILLED = """
@@ -56,7 +56,7 @@ def test_killed_at_any_call_all_files_are_old_or_new(before: dict[str, bytes], t
         write_files(folder, before)
         command = [sys.executable, "-c", KILLED, str(folder), str(count)]
         subprocess.run(command, cwd=root, check=False)
-        settle(folder)
+        complete_interrupted_moves(folder)
         assert contents(folder) in (before, NEW)
         outcomes.append(contents(folder) == NEW)
         if Path(f"{folder}-done").exists():
@@ -97,7 +97,7 @@ def test_a_link_inside_the_folder_stays_and_one_that_leaves_is_refused(tmp_path:
     assert (folder / "real.txt").read_text() == "new"
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["away", "elsewhere", "link.txt", "out", "real.txt", "sub"]
     (tmp_path / "named").symlink_to(folder)
-    assert place_in(tmp_path / "named", "real.txt") == folder / "real.txt"
+    assert path_in_folder(tmp_path / "named", "real.txt") == folder / "real.txt"
 
 
 def test_a_note_of_somebody_else_moves_nothing_out_of_or_into_the_folder(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_note_of_somebody_else_moves_nothing_out_of_or_into_the_folder(tmp_pat
     ):
         note = folder / ".ltsim-999999999-00000000-00000000.moves"
         note.write_text(moves, encoding="latin-1")
-        settle(folder)
+        complete_interrupted_moves(folder)
         assert contents(folder) == {"mine": b"mine"}
     assert (tmp_path / ".ltsim-1-00000000-00000000.tmp").exists()
 

@@ -10,10 +10,10 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.averaging import HARM, WORSE, averaged, first_order_change, model_weights, safe_share
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.geometry.rigid import without_rigid_motion
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import smooth
-from ltsim.physics.laws.responses import RESPONSES
+from ltsim.geometry.rigid import remove_rigid_motion
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import smooth_regressor
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 from ltsim.physics.laws.variance import VarianceFunction
 from tests.networks import network
 
@@ -43,17 +43,17 @@ def test_a_law_that_does_much_is_taken_off_whole():
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.use, 0)
-    elevation = RESPONSES["elevation"][0]
-    laws = [Law((), (), elevation, smooth(name)) for name in ("time", "station-time")]
+    case = SelectionState(baseline, baseline.problem.used_readings, 0)
+    elevation = RESPONSES_BY_NAME["elevation"][0]
+    laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.sigma)
     found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
-    points = baseline.state.points
+    points = baseline.state.target_points
     basis = points - points.mean(axis=0)
-    linear = -case.searcher.space.moved_targets(first_order_change(case.searcher, found))
+    linear = -case.searcher.space.target_shifts(first_order_change(case.searcher, found))
     expected, shift = (
-        without_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free)
-        for change in (fitted.adjustment.state.points - points, linear)
+        remove_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
+        for change in (fitted.adjustment.state.target_points - points, linear)
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
@@ -67,8 +67,10 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
 def test_noise_moves_no_target() -> None:
     """The probability of a change of the noise is not that of a shift."""
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.use, 0)
-    law = Hypothesis(Law((), (), RESPONSES["elevation"][0], smooth("time")), 0.0, 5.0, "unknown")
+    case = SelectionState(baseline, baseline.problem.used_readings, 0)
+    law = Hypothesis(
+        EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
+    )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)
     weights, changes = model_weights(case.searcher, case.searcher.empty, law, ranking, 1.0)

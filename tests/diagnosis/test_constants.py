@@ -7,12 +7,12 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, likelihood_information, log_sum_exp
+from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, likelihood_information, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Station, Target
 from tests.networks import network
@@ -28,24 +28,28 @@ def trackers(count: int, name: str, off: float, faces: int) -> Recording:
             "instruments": {n: Instrument() for n in names},
         }
     )
-    recording, built = recording.replace(setup=setup), misalignment()
-    values = np.zeros((count, built.size))
-    values[1, built.names.index(name)] = off
-    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    recording, built = recording.replace(setup=setup), misalignment_construction()
+    values = np.zeros((count, built.n_parameters))
+    values[1, built.parameter_names.index(name)] = off
+    state = NetworkState(
+        truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
+    )
     exact = MeasurementModel(recording, built).predict(state)
     return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
 
 
 def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of_the_adjustment():
     """Against densities of what the readings tell, N x + noise of covariance N, with and without a change."""
-    adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment())
+    adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment_construction())
     unit = prior_sigmas(adjustment.recording, adjustment.construction).ravel()
-    said = likelihood_information(adjustment.state.instrument.ravel(), adjustment.constants_covariance, unit, unit)
+    said = likelihood_information(
+        adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, unit, unit
+    )
     expected = 0.04 * np.eye(32)
     changes = tuple(Change((1,), k, "nothing") for k in range(16))
     found = compared(adjustment, Expected(np.zeros(32), expected, changes), 2.0)
     assert found[0].instruments == ("B",)
-    k = 16 + adjustment.construction.names.index(found[0].parameter.name)
+    k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
     seen = np.linalg.eigh(said.information)
     turn = seen[1][:, seen[0] > 1e-9 * seen[0].max()]
 
@@ -56,7 +60,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
     change = np.zeros((32, 32))
     logs = []
-    for t, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
+    for t, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
     log = float(log_sum_exp(np.array(logs))) - density(expected) + log_share("constant", 16)
@@ -65,13 +69,13 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
-    found = contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment()), 2.0)
+    found = contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0)
     assert found
     first = found[0]
     assert first.instruments == ("B",)
     assert "vertical-index" in {p.name for p in first.rivals}
     assert sum(first.rivals.values()) == pytest.approx(1.0, abs=0.05)
-    assert abs(first.difference) / first.parameter.factor == pytest.approx(10.0, abs=5.0)
+    assert abs(first.difference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
 
 
 def test_a_scale_against_known_points_is_told_of_both_trackers():
@@ -83,14 +87,16 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
             "instruments": {n: Instrument(corrected=True) for n in "AB"},
             "targets": {
                 name: Target(known_mm=(1e3 * xyz).tolist(), known_sigma_mm=0.005)
-                for name, xyz in list(zip(recording.targets, truth.state.points, strict=True))[:6]
+                for name, xyz in list(zip(recording.targets, truth.state.target_points, strict=True))[:6]
             },
         }
     )
-    recording, built = recording.replace(setup=setup), misalignment()
-    values = np.zeros((2, built.size))
-    values[:, built.names.index("range-scale")] = 20e-6
-    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    recording, built = recording.replace(setup=setup), misalignment_construction()
+    values = np.zeros((2, built.n_parameters))
+    values[:, built.parameter_names.index("range-scale")] = 20e-6
+    state = NetworkState(
+        truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
+    )
     exact = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
     found = contradictions(adjust(recording, built), 2.0)
@@ -100,7 +106,7 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
 
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
-    assert contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment()), 2.0) == []
-    found = contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment()), 2.0)
+    assert contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0) == []
+    found = contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0)
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
     assert 0.0 <= found[0].p_value < 1e-6

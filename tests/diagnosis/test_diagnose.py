@@ -13,10 +13,10 @@ from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.effect import by_displacement, on_readings
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects.effect import design_from_displacements, design_from_front_face_corrections
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, sightings_of
 from ltsim.recordings.recording import Recording
 from tests.networks import drawn, network
@@ -26,13 +26,13 @@ NONCENTRALITY = 250.0
 
 def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording, object]:
     """A noisy recording of an imperfect tracker, and its true state."""
-    recording, truth = network(faces=faces, repeats=repeats, values=drawn(misalignment(), seed), seed=seed)
+    recording, truth = network(faces=faces, repeats=repeats, values=drawn(misalignment_construction(), seed), seed=seed)
     return recording, truth.state
 
 
 def strengthened(recording, state, change):
     """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=state))
     left = space.project(space.whiten(change[:, :, None]))[:, 0]
     factor = np.sqrt(NONCENTRALITY / float(left @ left))
     return recording.with_readings(recording.readings + factor * change), factor
@@ -42,7 +42,7 @@ def concealing(name: str, seed: int, values: list[float], faces: int = 1, **fiel
     """A recording that conceals an effect of the catalogue, and the values it was given [SI]."""
     recording, state = workshop(seed, faces=faces)
     effect = find_effect(name)(**fields)
-    change = effect.shift(sightings_of(recording, state), np.array(values))
+    change = effect.reading_change(sightings_of(recording, state), np.array(values))
     hidden, factor = strengthened(recording, state, change)
     return hidden, factor * np.array(values)
 
@@ -75,7 +75,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
     assert first.where.targets == fields.get("targets", ())
     assert first.evidence.p_value == pytest.approx(1 / 301)
     assert first.evidence.p_located >= 0.9 * first.evidence.probability
-    factors = [p.factor for p in find_effect(name)(**fields).parameters]
+    factors = [p.si_per_display_unit for p in find_effect(name)(**fields).parameters]
     for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
         assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
 
@@ -84,7 +84,7 @@ def test_two_effects_are_both_found():
     recording, state = workshop(5)
     sightings = sightings_of(recording, state)
     for name, fields, values in (WEATHER, CYCLIC):
-        change = find_effect(name)(**fields).shift(sightings, np.array(values))
+        change = find_effect(name)(**fields).reading_change(sightings, np.array(values))
         recording, _ = strengthened(recording, state, change)
     found = diagnose(recording)
     assert {f.effect for f in found.findings} == {"station-weather", "range-cyclic"}
@@ -93,7 +93,9 @@ def test_two_effects_are_both_found():
 def test_physics_outside_the_catalogue_is_called_unknown():
     recording, state = workshop(3)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation))
+    change = design_from_front_face_corrections(
+        sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation)
+    )
     recording, _ = strengthened(recording, state, change)
     found = diagnose(recording, held_out=True)
     first = found.findings[0]
@@ -111,7 +113,9 @@ def test_what_the_last_move_left_behind_is_no_noise():
     """Scatter to the eye: only the order of the work tells that it is none."""
     recording, state = workshop(9)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, elevation=np.abs(sightings.move[:, 1]) * sightings.range_)
+    change = design_from_front_face_corrections(
+        sightings, elevation=np.abs(sightings.reading_changes[:, 1]) * sightings.range_
+    )
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
     first = found.findings[0]
@@ -123,9 +127,9 @@ def test_what_the_last_move_left_behind_is_no_noise():
 def test_neighbours_that_move_together_are_found_together():
     recording, state = workshop(13)
     sightings = sightings_of(recording, state)
-    corner = np.argsort(np.linalg.norm(sightings.points - sightings.points[4], axis=1))[:7]
+    corner = np.argsort(np.linalg.norm(sightings.target_points - sightings.target_points[4], axis=1))[:7]
     sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
-    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
+    change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
     first = found.findings[0]
     assert first.effect == "unknown"
@@ -139,15 +143,15 @@ def test_neighbours_that_move_together_are_found_together():
 def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
     recording, state = workshop(14)
     sightings = sightings_of(recording, state)
-    wall = sightings.points[:, 1] > np.median(sightings.points[:, 1])
-    leans = wall[sightings.target] * sightings.points[sightings.target, 2] * sightings.time
-    change = by_displacement(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
+    wall = sightings.target_points[:, 1] > np.median(sightings.target_points[:, 1])
+    leans = wall[sightings.target] * sightings.target_points[sightings.target, 2] * sightings.time
+    change = design_from_displacements(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
     assert len(found.findings) == 1
     first = found.findings[0]
     assert "target" in first.carrier and first.driver.startswith("time")
     assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
-    errors = [rigid_gap(points, state.points) for points in (found.baseline.state.points, found.targets.points)]
+    errors = [rigid_gap(points, state.points) for points in (found.baseline.state.target_points, found.targets.points)]
     assert errors[1] < 0.8 * errors[0]
 
 
@@ -156,8 +160,8 @@ def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
     """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
     recording, state = workshop(16, faces=2)
     sightings = sightings_of(recording, state)
-    out = (sightings.seating % 2)[:, None] * np.nan_to_num(sightings.nest_normal[sightings.target])
-    found = diagnose(strengthened(recording, state, by_displacement(sightings, out[:, :, None])[:, :, 0])[0])
+    out = (sightings.seating_numbers % 2)[:, None] * np.nan_to_num(sightings.nest_normals[sightings.target])
+    found = diagnose(strengthened(recording, state, design_from_displacements(sightings, out[:, :, None])[:, :, 0])[0])
     assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
     assert found.findings[0].driver == "the parity of the seatings (every other target)"
 
@@ -168,7 +172,7 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
     sightings = sightings_of(recording, state)
     visit = float(np.ptp(sightings.time[sightings.station == 1]))
     sinks = (sightings.station == 1) * np.mod(sightings.station_time / (visit / 4), 1.0)
-    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
+    change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
     first = found.findings[0]
     assert first.effect == "unknown"
@@ -178,7 +182,7 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
 
 def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square difference of coordinates after the best rigid fit [m]."""
-    rotation, translation = align(points, truth)
+    rotation, translation = align_rigidly(points, truth)
     return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
 
 
@@ -193,7 +197,7 @@ def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
 def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount, told):
     recording, state = workshop(15)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, distance=amount(sightings.time).astype(np.float64))
+    change = design_from_front_face_corrections(sightings, distance=amount(sightings.time).astype(np.float64))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
     assert told in found.findings[0].formula
@@ -206,13 +210,13 @@ def one_row_late(s):
     constant = stream(18, "constants").standard_normal(len(s.target_names))[s.target[order]]
     late = np.zeros(len(s))
     late[order[1:]] = -np.diff(constant)
-    return on_readings(s, distance=late)
+    return design_from_front_face_corrections(s, distance=late)
 
 
 def slow_wall(s):
     """The hall warms in a step, a constant of the tracker comes after."""
     since = np.maximum(s.time - np.quantile(s.time, 0.4), 0.0)
-    return on_readings(s, elevation=1.0 - np.exp(-since / 1500.0))
+    return design_from_front_face_corrections(s, elevation=1.0 - np.exp(-since / 1500.0))
 
 
 @pytest.mark.parametrize(
@@ -236,7 +240,7 @@ def test_overwhelming_evidence_states_more_than_99_percent():
     """No count of anything stands between the readings and what is said of them."""
     recording, state = workshop(12, faces=2)
     effect = find_effect("azimuth-drift")(("S2",), law="visit")
-    hidden, _ = strengthened(recording, state, effect.shift(sightings_of(recording, state), np.array([4e-9])))
+    hidden, _ = strengthened(recording, state, effect.reading_change(sightings_of(recording, state), np.array([4e-9])))
     larger = recording.with_readings(recording.readings + 6.0 * (hidden.readings - recording.readings))
     first = diagnose(larger).findings[0]
     assert (first.effect, first.where.stations) == ("azimuth-drift", ("S2",))
@@ -244,8 +248,8 @@ def test_overwhelming_evidence_states_more_than_99_percent():
 
 
 def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
-    values = drawn(misalignment(), 1)
-    values[misalignment().names.index("range-offset")] = 60e-6
+    values = drawn(misalignment_construction(), 1)
+    values[misalignment_construction().parameter_names.index("range-offset")] = 60e-6
     recording, _ = network(faces=2, values=values, seed=1)
     (first,) = diagnose(recording).findings
     assert first.effect == "range-offset"
@@ -320,7 +324,7 @@ def test_the_files_say_what_the_diagnosis_says(tmp_path):
     finding = content["findings"][0]
     assert (finding["effect"], finding["where"]["stations"]) == ("station-weather", ["S2"])
     (size,), (parameter,) = finding["parameters"], find_effect("station-weather")(("S2",)).parameters
-    assert abs(size["value"] - truth / parameter.factor) < 4 * size["sigma"]
+    assert abs(size["value"] - truth / parameter.si_per_display_unit) < 4 * size["sigma"]
     lines = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(lines) == 1 + len(recording.targets)
     assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")
@@ -352,7 +356,7 @@ def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
 def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
     """Errors are told in the declared noise: less of it is found, and nothing is predicted worse."""
     recording, state = workshop(19)
-    exact = MeasurementModel(recording, misalignment()).predict(state)
+    exact = MeasurementModel(recording, misalignment_construction()).predict(state)
     readings = exact + 0.6 * (recording.readings - exact)
     found = diagnose(recording.with_readings(readings))
     assert [f.effect for f in found.findings] == ["noise-level"]
@@ -379,7 +383,7 @@ def test_turbulence_is_told_from_a_higher_noise_level():
 def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
     recording, state = workshop(3)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
+    change = design_from_front_face_corrections(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
     first = found.findings[0]
@@ -392,7 +396,7 @@ def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
 def test_an_encoder_of_any_number_of_lines_is_named():
     recording, state = workshop(3)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
+    change = design_from_front_face_corrections(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["encoder-interpolation"]
     assert found.findings[0].where.observables == ("elevation",)
@@ -403,8 +407,10 @@ def test_targets_are_no_worse_than_those_of_the_right_explanation():
     """An imitated law, unknown to the catalogue: targets after the diagnosis, and with the law itself."""
     recording, state = workshop(4)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, distance=np.sin(3 * sightings.azimuth))
+    change = design_from_front_face_corrections(sightings, distance=np.sin(3 * sightings.azimuth))
     hidden, _ = strengthened(recording, state, change)
     found = diagnose(hidden)
-    assert rigid_gap(found.targets.points, state.points) < 1.05 * rigid_gap(found.baseline.state.points, state.points)
+    assert rigid_gap(found.targets.points, state.points) < 1.05 * rigid_gap(
+        found.baseline.state.target_points, state.points
+    )
     assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)

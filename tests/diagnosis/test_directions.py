@@ -11,18 +11,18 @@ from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.directions import best_direction
 from ltsim.diagnosis.evidence import evidence_with
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import simple, smooth
-from ltsim.physics.laws.responses import RESPONSES
-from ltsim.physics.laws.words import describe, law_suffix, read_law
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import scalar_regressor, smooth_regressor
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.words import law_suffix, parse_law, regressor_text
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return network(faces=2, values=drawn(misalignment(), 1), seed=1)[0]
+    return network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)[0]
 
 
 def planted(components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,10 +65,12 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
     sightings = adjust(recording).sightings
     for each, ratio in ((False, (0.6, 0.0, -0.8)), (True, (0.5, -0.5, 0.25, 0.1, 0.3, 0.2, 0.4, 0.1, 0.35))):
         stations = tuple(sightings.station_names) if each else ()
-        free = Law(stations, (), RESPONSES["place of the stand"][0], smooth("time"), each=each)
+        free = EmpiricalLaw(
+            stations, (), RESPONSES_BY_NAME["place of the stand"][0], smooth_regressor("time"), is_per_setup=each
+        )
         ratio = (*ratio, *(0.1,) * (free.components - len(ratio)))
-        fixed = Law(stations, (), free.carrier, free.driver, each=each, direction=ratio)
-        values = stream(3, "values").standard_normal(free.driver.size)
+        fixed = EmpiricalLaw(stations, (), free.response, free.regressor, is_per_setup=each, direction=ratio)
+        values = stream(3, "values").standard_normal(free.regressor.n_columns)
         np.testing.assert_allclose(
             fixed.design(sightings) @ values, free.design(sightings) @ np.kron(ratio, values), atol=1e-12
         )
@@ -76,12 +78,12 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
 
 
 def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
-    stand = RESPONSES["place of the stand"][0]
+    stand = RESPONSES_BY_NAME["place of the stand"][0]
     for each in (False, True):
         stations = recording.stations if each else ()
-        bare = Law(stations, (), stand, simple("time", "power"), each=each)
+        bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), is_per_setup=each)
         ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.components), 4).tolist())
-        law = Law(stations, (), stand, bare.driver, each=each, direction=ratio)
-        assert read_law("place of the stand", describe(law.driver) + law_suffix(law), recording) == law
+        law = EmpiricalLaw(stations, (), stand, bare.regressor, is_per_setup=each, direction=ratio)
+        assert parse_law("place of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
     with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
-        read_law("place of the stand", "time, components in the ratio 0.6 / 0.8", recording)
+        parse_law("place of the stand", "time, components in the ratio 0.6 / 0.8", recording)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import identified
+from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
@@ -21,7 +21,7 @@ from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import single_errors
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.test_diagnose import concealing, workshop
 from tests.families import family
 from tests.networks import network
@@ -35,7 +35,7 @@ def changed(recording, row, column, sigmas):
 
 
 def space_of(recording):
-    return ResidualSpace.of(adjust(recording, misalignment()))
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 @pytest.mark.parametrize(
@@ -44,9 +44,9 @@ def space_of(recording):
 def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     recording = changed(workshop(2)[0], row, column, 15.0)
     space = space_of(recording)
-    at = np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)
+    at = np.flatnonzero(np.flatnonzero(space.used_readings) == 3 * row + column)
     redundancy = float(space.redundancy[at][0])
-    selection = identified(recording, misalignment())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert np.argwhere(single_errors(selection.fit)).tolist() == [[row, column]]
     diagnosis = diagnose(recording)
@@ -62,7 +62,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     change = diagnosis.modelled_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
-    assert told.evidence.chi2_drop == pytest.approx(float(space.residual[at][0]) ** 2 / redundancy, rel=0.01)
+    assert told.evidence.chi2_drop == pytest.approx(float(space.residuals[at][0]) ** 2 / redundancy, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])
@@ -71,9 +71,9 @@ def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, 
     recording, _ = network(seed=4)
     readings = recording.readings * [200.0, 1.0, 1.0]
     large = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": None}))
-    selection = identified(changed(large, 40, 1, sigmas), misalignment())
+    selection = identify_causes(changed(large, 40, 1, sigmas), misalignment_construction())
     assert selection is not None
-    assert selection.fit.is_gross[40, 1]
+    assert selection.fit.is_gross_reading[40, 1]
     assert bool(single_errors(selection.fit)[40, 1]) == is_error
 
 
@@ -83,9 +83,9 @@ def test_outliers_share_their_place_with_those_that_are_small():
     rows = np.flatnonzero(recording.station == 2)[[2, 9, 16]]
     for row, sigmas in zip(rows, (14.0, -14.0, 7.0), strict=True):
         recording = changed(recording, row, 1, sigmas)
-    selection = identified(recording, misalignment())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert selection.fit.outliers[rows, 1].all()
+    assert selection.fit.is_outlier[rows, 1].all()
     assert not single_errors(selection.fit).any()
 
 
@@ -102,7 +102,7 @@ def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
 def test_a_target_that_moved_is_no_wrong_reading():
     """Several readings of it are off, however large each is."""
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
-    selection = identified(recording, misalignment())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert not single_errors(selection.fit).any()
 
@@ -112,7 +112,7 @@ def test_a_target_that_moved_is_no_wrong_reading():
 def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
     """By a different factor in each observable."""
     recording, _ = workshop(4)
-    adjustment = adjust(recording, misalignment())
+    adjustment = adjust(recording, misalignment_construction())
     expected = adjustment.problem.model.predict(adjustment.state)
     noisy = recording.with_readings(expected + np.array(factors) * (recording.readings - expected))
     assert [f.effect for f in diagnose(noisy).findings] == ["noise-level"]
@@ -132,18 +132,18 @@ def test_noise_that_differs_from_target_to_target_is_one_finding():
 def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     recording, _ = workshop(1)
     space = space_of(recording)
-    rows = int(space.use.sum())
+    rows = int(space.used_readings.sum())
     redundancy = space.redundancy
     rng = stream(8, "likeness")
-    law = rng.standard_normal(space.size)
+    law = rng.standard_normal(space.n_rows)
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
     weak, strong = (
-        log_bayes_factor_discrepancy(space, size * law, space.residual, redundancy) for size in (8.0, 400.0)
+        log_bayes_factor_discrepancy(space, size * law, space.residuals, redundancy) for size in (8.0, 400.0)
     )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
-    wrong = space.residual + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.size - rows))
+    wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_rows - rows))
     assert log_bayes_factor_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 
@@ -212,7 +212,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
 def test_nothing_without_a_size_is_told_beside_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)
-    case = SelectionState(adjust(recording, misalignment()), np.ones((len(recording), 3), dtype=bool), 0)
+    case = SelectionState(adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0)
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
     found = case.searcher.with_members(members)

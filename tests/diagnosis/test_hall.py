@@ -16,9 +16,9 @@ from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.motions import exact_target_change
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
-from ltsim.scene.regions import Region
+from ltsim.scene.regions import HallRegion
 from tests.networks import network
 
 
@@ -26,15 +26,15 @@ from tests.networks import network
 def clean() -> tuple[Recording, Adjustment]:
     """A recording of a network with noise alone, and its adjustment."""
     recording, _ = network(faces=2, seed=3)
-    return recording, adjust(recording, misalignment())
+    return recording, adjust(recording, misalignment_construction())
 
 
 def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float) -> tuple[Finding, float]:
     """First finding with a change (n, 3) of the readings at a noncentrality, and the factor on the change."""
     recording, adjustment = clean
-    space = ResidualSpace.of(adjustment)
-    signature = np.zeros((space.size, 1))
-    signature[: int(space.use.sum()), 0] = (change / recording.sigma())[space.use]
+    space = ResidualSpace.from_adjustment(adjustment)
+    signature = np.zeros((space.n_rows, 1))
+    signature[: int(space.used_readings.sum()), 0] = (change / recording.sigma())[space.used_readings]
     factor = np.sqrt(strength) / np.linalg.norm(space.project(signature))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
     assert diagnosis.verdict == "mismatch"
@@ -49,14 +49,14 @@ def centre(finding: Finding) -> dict[str, tuple[float, float]]:
 def middle_of_the_lines(adjustment: Adjustment, axes: str) -> tuple[float, ...]:
     """A place near the middle of the hall that many lines of sight pass."""
     sightings = adjustment.sightings
-    middle = sightings.position[sightings.station] + 0.5 * sightings.arm
+    middle = sightings.station_positions[sightings.station] + 0.5 * sightings.sight_vectors
     return tuple(np.median(middle, axis=0)[["xyz".index(axis) for axis in axes]].tolist())
 
 
 def test_a_heat_plume_that_stands_in_the_hall_is_named_and_placed(clean) -> None:
     place = middle_of_the_lines(clean[1], "xyz")
     plume = HeatPlume((), (), place, 0.4)
-    finding, kelvin = changed(clean, plume.shift(clean[1].sightings, np.array([1.0])), 300.0)
+    finding, kelvin = changed(clean, plume.reading_change(clean[1].sightings, np.array([1.0])), 300.0)
     assert finding.effect == "heat-plume" and not finding.where.stations and not finding.where.targets
     for (value, sigma), true in zip(centre(finding).values(), place, strict=True):
         assert abs(value - true) < min(0.5, 4.0 * sigma + 0.1)
@@ -66,9 +66,9 @@ def test_a_heat_plume_that_stands_in_the_hall_is_named_and_placed(clean) -> None
 
 @pytest.mark.long
 def test_ranges_that_are_longer_through_a_column_are_placed(clean) -> None:
-    column = Region("xy", middle_of_the_lines(clean[1], "xy"), 0.5)
+    column = HallRegion("xy", middle_of_the_lines(clean[1], "xy"), 0.5)
     change = np.zeros_like(clean[0].readings)
-    change[:, 0] = column.path(clean[1].sightings)
+    change[:, 0] = column.path_lengths(clean[1].sightings)
     finding, _ = changed(clean, change, 300.0)
     assert finding.where.observables == ("distance",) and finding.where.covariates == ("place",)
     assert "the path through" in finding.driver
@@ -89,7 +89,7 @@ def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None
 @pytest.mark.long
 def test_a_gauge_that_moves_once_is_one_group() -> None:
     recording, _ = network(faces=2, seed=3)
-    adjustment = adjust(recording, misalignment())
+    adjustment = adjust(recording, misalignment_construction())
     names = sorted({name for d in recording.gauge.distance for name in (d.from_, d.to)})
     sightings = adjustment.sightings
     group = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])
@@ -101,18 +101,18 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
 
 
 def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -> None:
-    space = ResidualSpace.of(clean[1])
+    space = ResidualSpace.from_adjustment(clean[1])
     rng = stream(5, "tail")
-    ranges = np.flatnonzero(np.nonzero(space.use)[1] == 0)
+    ranges = np.flatnonzero(np.nonzero(space.used_readings)[1] == 0)
     worse = rng.choice(ranges, len(ranges) // 10, replace=False)
-    noise = np.zeros((space.size, 1))
+    noise = np.zeros((space.n_rows, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
-    heavy = space.residual + space.project(noise)[:, 0]
+    heavy = space.residuals + space.project(noise)[:, 0]
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(heavy, space.redundancy, np.zeros((space.size, 0)))[0][1]
-    assert getattr(best.effect, "each", "") == "reading" and best.effect.observables == ("distance",)
-    fitted = most_likely(replace(space, residual=heavy), space.sigma, best)
-    added = np.array(fitted.values)[np.nonzero(space.use)[0][ranges]]
+    best = bank.ranked(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
+    fitted = most_likely(replace(space, residuals=heavy), space.sigma, best)
+    added = np.array(fitted.values)[np.nonzero(space.used_readings)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)
     assert added[is_worse].min() > 1.0
     assert np.median(added[~np.isin(ranges, worse)]) < 0.2

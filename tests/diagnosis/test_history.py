@@ -23,15 +23,15 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import LEAST_GAIN
 from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
 from ltsim.recordings.setup import Instrument, Station
 from tests.networks import drawn, network
 
-BUILT = misalignment()
+BUILT = misalignment_construction()
 GUARANTEE = np.array([p.prior_sigma for p in BUILT.parameters])
-INDEX = BUILT.names.index("vertical-index")
+INDEX = BUILT.parameter_names.index("vertical-index")
 SPREAD = 0.05
 """Day-to-day spread in guarantees."""
 
@@ -40,7 +40,7 @@ SPREAD = 0.05
 def measured(faces: int) -> tuple[Calibration, Adjustment]:
     """A calibration and an adjustment whose network all days share."""
     recording, _ = network(faces=faces, seed=4)
-    return calibrate_network(recording, BUILT, advise=False), adjust(recording, BUILT)
+    return calibrate_network(recording, BUILT, recommend_measurements=False), adjust(recording, BUILT)
 
 
 def estimated(faces: int, truth: Floats, rng: np.random.Generator) -> Floats:
@@ -63,11 +63,11 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     days = mean + spread * rng.standard_normal((count + 1, len(GUARANTEE)))
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
-    before = [(f"day {k}", calibration.with_changes(values=v[None])) for k, v in enumerate(values[:-1])]
+    before = [(f"day {k}", calibration.with_changes(estimates=v[None])) for k, v in enumerate(values[:-1])]
     known = (
-        EarlierCalibrations.of(History.of(CalibrationSeries.of(before)))
+        EarlierCalibrations.from_source(History.from_series(CalibrationSeries.from_labelled(before)))
         if count > 1
-        else EarlierCalibrations.of(before[0][1])
+        else EarlierCalibrations.from_source(before[0][1])
     )
     return against(known, adjustment, values[-1])
 
@@ -97,7 +97,7 @@ def test_an_instrument_that_wanders_as_ever_is_let_be(faces: int, count: int) ->
     ("faces", "count", "name"), [(2, 5, "vertical-index"), (1, 5, "beam-tilt"), (2, 1, "beam-tilt")]
 )
 def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name: str) -> None:
-    constant = BUILT.names.index(name)
+    constant = BUILT.parameter_names.index(name)
     found = [told(faces, count, seed, 3.0, constant) for seed in range(4)]
     assert [f[0].parameter.name for f in found if f] == [name] * 4
     assert sum(len(f) for f in found) <= 5
@@ -109,8 +109,8 @@ def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name:
 def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
-    today[BUILT.names.index("beam-tilt")] -= GUARANTEE[BUILT.names.index("beam-tilt")]
-    known = EarlierCalibrations.of(calibration.with_changes(values=np.zeros((1, len(GUARANTEE)))))
+    today[BUILT.parameter_names.index("beam-tilt")] -= GUARANTEE[BUILT.parameter_names.index("beam-tilt")]
+    known = EarlierCalibrations.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
@@ -122,10 +122,10 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
     rng = stream(62, "days")
     days = mean + SPREAD * GUARANTEE * rng.standard_normal((5, len(GUARANTEE)))
     before = [
-        (f"day {k}", calibrate_network(network(faces=2, values=v, seed=70 + k)[0], BUILT, advise=False))
+        (f"day {k}", calibrate_network(network(faces=2, values=v, seed=70 + k)[0], BUILT, recommend_measurements=False))
         for k, v in enumerate(days)
     ]
-    write_result(tmp_path / "history", History.of(CalibrationSeries.of(before)), {})
+    write_result(tmp_path / "history", History.from_series(CalibrationSeries.from_labelled(before)), {})
     write_calibration(before[-1][1], tmp_path / "last")
     today = mean.copy()
     today[INDEX] += 2.0 * GUARANTEE[INDEX]

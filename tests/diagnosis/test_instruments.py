@@ -11,8 +11,8 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.words import clear_constants
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Station
 from tests.networks import drawn, network
@@ -26,11 +26,13 @@ def trackers(off: float, *, corrected: bool = False) -> Recording:
     instruments = {name: Instrument(corrected=corrected) for name in names}
     setup = recording.setup.model_copy(update={"stations": stations, "instruments": instruments})
     recording = recording.replace(setup=setup)
-    built = misalignment()
-    common = np.zeros(built.size) if corrected else drawn(built, 3)
+    built = misalignment_construction()
+    common = np.zeros(built.n_parameters) if corrected else drawn(built, 3)
     values = np.stack([common, common])
-    values[1, built.names.index("beam-offset-lateral")] += off
-    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    values[1, built.parameter_names.index("beam-offset-lateral")] += off
+    state = NetworkState(
+        truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
+    )
     exact = MeasurementModel(recording, built).predict(state)
     return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
 
@@ -48,27 +50,27 @@ def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
 
 
 def test_trackers_alike_contradict_nothing():
-    assert contradictions(adjust(trackers(0.0), misalignment()), 2.0) == []
+    assert contradictions(adjust(trackers(0.0), misalignment_construction()), 2.0) == []
 
 
 def test_a_corrected_tracker_is_held_to_its_word():
-    found = contradictions(adjust(trackers(60e-6, corrected=True), misalignment()), 2.0)
+    found = contradictions(adjust(trackers(60e-6, corrected=True), misalignment_construction()), 2.0)
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
     assert "correction" in found[0].against
 
 
 def test_combinations_are_known_where_single_constants_are_not():
     """In one face the vertical index and cosines of the elevation are one: their sum is determined."""
-    recording, _ = network(values=drawn(misalignment(), 2), seed=3)
-    adjustment = adjust(recording, misalignment())
+    recording, _ = network(values=drawn(misalignment_construction(), 2), seed=3)
+    adjustment = adjust(recording, misalignment_construction())
     (entry,) = instrument_entries(adjustment)
     sigma = {p.name: p.sigma for p in entry.parameters}
     known = [c for c in entry.determined if {"vertical-index"} <= set(c.combination)]
     assert known
     assert known[0].sigma < 0.3 * sigma["vertical-index"]
-    weights = np.zeros(len(adjustment.construction.names))
+    weights = np.zeros(len(adjustment.construction.parameter_names))
     for name, weight in known[0].combination.items():
-        weights[adjustment.construction.names.index(name)] = weight
+        weights[adjustment.construction.parameter_names.index(name)] = weight
     direct = float(np.sqrt(weights @ adjustment.instrument_covariance @ weights)) / 1e-6
     assert direct == pytest.approx(known[0].sigma, rel=0.5)
 
@@ -103,9 +105,9 @@ def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
 
 def test_constants_that_are_clear_are_named_as_a_person_would():
     """What one face shows of the index is as large as the index and the circle are first_order_shift."""
-    built = misalignment()
+    built = misalignment_construction()
     values = drawn(built, 2)
-    values[built.names.index("vertical-index")] = 60e-6
+    values[built.parameter_names.index("vertical-index")] = 60e-6
     entries = instrument_entries(adjust(network(values=values, seed=3)[0], built))
     named = clear_constants(entries)
     assert 0 < len(named) <= 5

@@ -15,8 +15,8 @@ from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.noise_groups import FACTORS
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.physics.effects.turbulence import Turbulence
-from ltsim.physics.laws.variance import BOTH_FACES, VarianceFunction
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network
 
 
@@ -24,7 +24,7 @@ from tests.networks import network
 def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
@@ -32,11 +32,11 @@ def repeated():
 def scattered(space, pair, *, shared):
     """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
     rng = stream(1, "scatter")
-    count = int(space.use.sum())
+    count = int(space.used_readings.sum())
     own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
-    more = np.zeros((space.size, 1))
-    more[:count, 0] = 1.5 * (common if shared else own)[space.use]
-    return space.residual + space.project(more)[:, 0]
+    more = np.zeros((space.n_rows, 1))
+    more[:count, 0] = 1.5 * (common if shared else own)[space.used_readings]
+    return space.residuals + space.project(more)[:, 0]
 
 
 def evidence_of(bank, residual, redundancy):
@@ -69,23 +69,30 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     x = space.sightings.quantities[covariate]
     band = (-np.pi, -0.75 * np.pi) if covariate == "bearing" else tuple(np.quantile(x, (0.0, 0.25)).tolist())
     inside = (x >= band[0]) & (x <= band[1])
-    change = np.zeros((space.size, 1))
-    more = 2.0 * stream(9, "band").standard_normal(space.use.shape) * inside[:, None] * np.array([0.0, 1.0, 1.0])
-    change[: int(space.use.sum()), 0] = more[space.use]
-    residual = space.residual + space.project(change)[:, 0]
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1].effect
-    at = best.variance(space.sightings, space.sigma, best.spread) > space.sigma**2
+    change = np.zeros((space.n_rows, 1))
+    more = (
+        2.0 * stream(9, "band").standard_normal(space.used_readings.shape) * inside[:, None] * np.array([0.0, 1.0, 1.0])
+    )
+    change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
+    residual = space.residuals + space.project(change)[:, 0]
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    at = best.variance(space.sightings, space.sigma, best.size_scales) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
 
 def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     space, _, bank = repeated
     shaken = space.sightings.target < 6
-    more = 1.5 * stream(4, "shaken").standard_normal(space.use.shape) * shaken[:, None] * np.array([0.0, 1.0, 1.0])
-    change = np.zeros((space.size, 1))
-    change[: int(space.use.sum()), 0] = more[space.use]
-    residual = space.residual + space.project(change)[:, 0]
-    first = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1].effect
+    more = (
+        1.5
+        * stream(4, "shaken").standard_normal(space.used_readings.shape)
+        * shaken[:, None]
+        * np.array([0.0, 1.0, 1.0])
+    )
+    change = np.zeros((space.n_rows, 1))
+    change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
+    residual = space.residuals + space.project(change)[:, 0]
+    first = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
 
@@ -93,16 +100,16 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
 def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated):
     """Against determinants of the whole covariance in coordinates of the residual space."""
     space, pair, bank = repeated
-    free = np.linalg.svd(np.eye(space.size) - bank.basis @ bank.basis.T)[0][:, : space.size - bank.basis.shape[1]]
+    free = np.linalg.svd(np.eye(space.n_rows) - bank.basis @ bank.basis.T)[0][:, : space.n_rows - bank.basis.shape[1]]
     residual = scattered(space, pair, shared=False)
-    nothing = np.zeros((space.size, 0))
+    nothing = np.zeros((space.n_rows, 0))
     sums = bank.means.toarray()
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
         i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
-        grown = np.ones(space.size + len(sums))
+        grown = np.ones(space.n_rows + len(sums))
         places, logs = bank.factors.row(i)
         grown[places] = np.exp(logs)
-        covariance = np.diag(grown[: space.size]) + sums.T @ np.diag(grown[space.size :] - 1.0) @ sums
+        covariance = np.diag(grown[: space.n_rows]) + sums.T @ np.diag(grown[space.n_rows :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual
         dense = 0.5 * (y @ y - y @ np.linalg.solve(inner, y) - np.linalg.slogdet(inner)[1])
         assert bank.exact(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
@@ -111,10 +118,10 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
 def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     """Turbulence of a size that no grid holds: each of its two amounts, or both, averaged over the logarithm."""
     space, _, bank = repeated
-    effect, used = Turbulence(), space.use
+    effect, used = Turbulence(), space.used_readings
     between = np.sqrt(np.prod([sizes[0] for sizes in effect.size_grid()[2:4]]))
     true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
-    residual = space.residual.copy()
+    residual = space.residuals.copy()
     residual[: int(used.sum())] *= np.sqrt(true[used])
 
     def gained(k, log_size):
@@ -131,7 +138,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
         one.append(logsumexp(logs) - np.log(len(fine)))
     whole = logsumexp([*one, sum(one)]) - np.log(3)
     rough = replace(bank, basis=None)  # in its diagonal form
-    found = {h.family: value for value, h in rough.ranked(residual, space.redundancy, np.zeros((space.size, 0)))}
+    found = {h.family: value for value, h in rough.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))}
     assert found["turbulence"] - bank.share("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
     assert found["turbulence"] > coarse + 1.0
@@ -140,7 +147,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
     """All subsets of observables but none, or all alike; each with its sizes averaged."""
     space, _, bank = repeated
-    residual, kind = space.residual.copy(), np.nonzero(space.use)[1]
+    residual, kind = space.residuals.copy(), np.nonzero(space.used_readings)[1]
     for k, times in enumerate((1.3, 1.5, 0.8)):
         residual[: len(kind)][kind == k] *= times
 
@@ -159,28 +166,28 @@ def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeate
 def test_noise_that_is_larger_everywhere_is_no_turbulence(repeated, times):
     """However the sizes that are tried lie beside the true one."""
     space, _, bank = repeated
-    evidence = evidence_of(bank, times * space.residual, space.redundancy)
+    evidence = evidence_of(bank, times * space.residuals, space.redundancy)
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
 def test_quiet_residuals_are_no_law(repeated):
     space, _, bank = repeated
-    evidence = evidence_of(bank, 0.6 * space.residual, space.redundancy)
+    evidence = evidence_of(bank, 0.6 * space.residuals, space.redundancy)
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.augmented(stream(3, "columns").standard_normal((space.size, space.size // 4)))
-    assert evidence_of(bank, beside.residual, space.redundancy)["noise-level"] > 5.0
-    assert evidence_of(bank, beside.residual, beside.redundancy)["noise-level"] < 0.0
+    beside = space.augmented(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
+    assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
+    assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
 
 
 def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
-    white = space.project(stream(2, "white").standard_normal((space.size, 200)))
+    white = space.project(stream(2, "white").standard_normal((space.n_rows, 200)))
     mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
 
@@ -188,19 +195,19 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
 def test_means_of_repeats_are_of_unit_variance(repeated):
     space, _, _ = repeated
     means = repeat_means(space)
-    assert means.shape[0] == int(space.use.sum()) // 3
+    assert means.shape[0] == int(space.used_readings.sum()) // 3
     np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
 
 
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     assert repeat_means(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
@@ -210,12 +217,14 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         change = np.zeros((len(pair), 3))
         change[:, 0] = 2.0 * drawn
         left = (
-            space.residual
-            + space.project(np.append(change[space.use], np.zeros(space.size - space.use.sum()))[:, None])[:, 0]
+            space.residuals
+            + space.project(
+                np.append(change[space.used_readings], np.zeros(space.n_rows - space.used_readings.sum()))[:, None]
+            )[:, 0]
         )
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = VarianceFunction(("distance",), repeating=BOTH_FACES)
-    assert (found.carrier, found.driver) == ("distance", "station and target")
-    assert "in both faces" in found.law
+    found = VarianceFunction(("distance",), repetition=REPEATS_IN_BOTH_FACES)
+    assert (found.response_text, found.regressor_text) == ("distance", "station and target")
+    assert "in both faces" in found.text

@@ -14,21 +14,21 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.physics.laws.places import clusters
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.places import target_clusters
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
-    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment()))
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_STEPS", 5)
     windows = NoiseWindows.of(space)[0]
-    residual = 1.5 * space.residual[:, None]
+    residual = 1.5 * space.residuals[:, None]
     ratios = windows._ratios(residual, space.redundancy)[..., 0].reshape(5, -1)
     logs = []
     for go in windows._changes:
@@ -45,30 +45,30 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     noisy = np.zeros(len(time), dtype=bool)
     for share in (0.1, 0.4, 0.75):
         noisy |= (time > np.quantile(time, share)) & (time <= np.quantile(time, share + 0.1))
-    pointing, kind = np.nonzero(space.use)
+    pointing, kind = np.nonzero(space.used_readings)
     rows = np.flatnonzero(noisy[pointing] & (kind > 0))
-    added = np.zeros((space.size, 1))
+    added = np.zeros((space.n_rows, 1))
     added[rows, 0] = 4.0 * stream(2, "compressor").standard_normal(len(rows))
-    residual = space.residual + space.project(added)[:, 0]
+    residual = space.residuals + space.project(added)[:, 0]
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1]
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
-    assert (best.effect.inside(space.sightings) == noisy).mean() > 0.95
-    fitted = most_likely(replace(space, residual=residual), space.sigma, best)
+    assert (best.effect.in_band(space.sightings) == noisy).mean() > 0.95
+    fitted = most_likely(replace(space, residuals=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.values[0]) < 5.5
 
 
 def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace) -> None:
     sightings, time = space.sightings, space.sightings.time
-    group = max((g for g in clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
+    group = max((g for g in target_clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
     noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))
-    pointing, kind = np.nonzero(space.use)
+    pointing, kind = np.nonzero(space.used_readings)
     rows = np.flatnonzero(noisy[pointing] & (kind > 0))
-    added = np.zeros((space.size, 1))
+    added = np.zeros((space.n_rows, 1))
     added[rows, 0] = 6.0 * stream(3, "fan").standard_normal(len(rows))
-    residual = space.residual + space.project(added)[:, 0]
+    residual = space.residuals + space.project(added)[:, 0]
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1]
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
     pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
     assert best.family == "unknown:noise:windows"
     assert (pattern == noisy).mean() > 0.95

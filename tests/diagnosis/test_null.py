@@ -10,7 +10,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
 from tests.networks import network
 
@@ -19,7 +19,7 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = stream(seed, "clean").standard_normal((searcher.space.size, DRAWS))
+    white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
     others = searcher.space.project(white)
     rest = Searcher(searcher.space, seed, 1, cards=searcher.cards)
     rest.probe = with_trials(searcher.probe, others)
@@ -30,7 +30,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
-    space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment()))
+    space = ResidualSpace.from_adjustment(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.next_measurement import DECISIVE
+from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement
@@ -22,7 +22,7 @@ from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import Misfit, Where
 from ltsim.diagnosis.words import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network, with_effect
 
 # --- evidence ---------------------------------------------------------------------------------------------------------
@@ -41,7 +41,7 @@ def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_s
 
 
 def test_what_is_no_question_gets_no_measurement() -> None:
-    found = adjust(network(faces=2, seed=6)[0], misalignment())
+    found = adjust(network(faces=2, seed=6)[0], misalignment_construction())
     assert separating_measurement(found, "range-step", [], ()) == ""
     assert separating_measurement(found, "range-step", ["unknown"], ()) == ""
     assert separating_measurement(found, "range-step", ["station-noise"], ()) == ""
@@ -50,11 +50,11 @@ def test_what_is_no_question_gets_no_measurement() -> None:
 
 def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
     settled = StationSettling(("S3",), time_constant=480.0)
-    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment())
+    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment_construction())
     advice = separating_measurement(found, "station-settling", ["station-bump"], ())
     assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
-    assert before < DECISIVE < after
+    assert before < MIN_DECISIVE_CHI2 < after
 
 
 # --- detect -----------------------------------------------------------------------------------------------------------

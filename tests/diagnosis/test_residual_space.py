@@ -6,43 +6,46 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.diagnosis.held_out import folds, held_out
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import Regressor, simple
-from ltsim.physics.laws.responses import RESPONSES
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import Regressor, scalar_regressor
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
-    recording, _ = network(values=drawn(misalignment(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment()))
+    recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1)
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
-def law(carrier: str, driver: Regressor) -> Law:
-    return Law((), (), RESPONSES[carrier][0], driver)
+def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
+    return EmpiricalLaw((), (), RESPONSES_BY_NAME[carrier][0], driver)
 
 
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
     wave = law("distance", Regressor("wave", ("azimuth",), constant=3.0))
-    signature = space.signature(wave)
-    columns = orthonormal(space.project(signature), np.linalg.norm(signature, axis=0))
-    again = adjust(space.adjustment.recording, misalignment(), effects=[wave])
+    signature = space.whitened_signature(wave)
+    columns = orthonormal_columns(space.project(signature), np.linalg.norm(signature, axis=0))
+    again = adjust(space.adjustment.recording, misalignment_construction(), effects=[wave])
     assert columns.shape[1] == 2
-    drop = float(((columns.T @ space.residual) ** 2).sum())
+    drop = float(((columns.T @ space.residuals) ** 2).sum())
     assert drop == pytest.approx(space.adjustment.chi2 - again.chi2, abs=1e-2)
 
 
 def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
-    first, second = law("elevation", simple("time", "power")), law("elevation", simple("distance", "power", 2.0))
-    extended = space.augmented(space.signature(first))
-    signature = space.signature(second)
-    columns = orthonormal(extended.project(signature), np.linalg.norm(signature, axis=0))
-    one = adjust(space.adjustment.recording, misalignment(), effects=[first])
-    both = adjust(space.adjustment.recording, misalignment(), effects=[first, second])
+    first, second = (
+        law("elevation", scalar_regressor("time", "power")),
+        law("elevation", scalar_regressor("distance", "power", 2.0)),
+    )
+    extended = space.augmented(space.whitened_signature(first))
+    signature = space.whitened_signature(second)
+    columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
+    one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
+    both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
     drop = float(((columns.T @ extended.residual) ** 2).sum())
     assert drop == pytest.approx(one.chi2 - both.chi2, abs=1e-2)
 
@@ -54,11 +57,11 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
-        rest = adjust(recording, misalignment(), use=use, start=space.adjustment.state)
-        system = rest.problem.__class__.of(rest.problem.model).linearise(rest.state)
+        rest = adjust(recording, misalignment_construction(), reading_mask=use, start=space.adjustment.state)
+        system = rest.problem.__class__.from_model(rest.problem.model).linearise(rest.state)
         held = np.flatnonzero(np.repeat(out, 3))
-        design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.residual[held]
-        spread = design @ rest.factor.covariance_columns(design.T)
+        design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.whitened_residuals[held]
+        spread = design @ rest.factorised_normals.covariance_columns(design.T)
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
     assert held_out(space, 0).before == pytest.approx(np.sqrt(square / count), rel=1e-3)
@@ -70,7 +73,7 @@ def test_held_out_error_is_one_where_the_model_holds(space):
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
     groups = folds(space, 3)
-    assert sorted(np.concatenate(groups)) == list(range(int(space.use.sum())))
+    assert sorted(np.concatenate(groups)) == list(range(int(space.used_readings.sum())))
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
@@ -80,7 +83,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     falls = 0
     for seed in range(6):
         recording, _ = network(seed=seed, stations=3)
-        clean = ResidualSpace.of(adjust(recording, misalignment()))
+        clean = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
         error = held_out(clean, seed, Searcher(clean, seed), 2.0)
         falls += error.after < error.before
     assert falls <= 3
@@ -88,7 +91,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 
 @pytest.mark.long
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
-    wave = space.signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
-    hidden = replace(space, residual=space.residual + 8e-6 * space.project(wave))
+    wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
+    hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
     error = held_out(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before

@@ -9,10 +9,10 @@ from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects import find_effect
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.solve.projection import FactorProjection
@@ -36,11 +36,13 @@ def monitoring(epochs: int, rate: float) -> Recording:
         time=60.0 / count * np.arange(rows),
         readings=np.zeros((rows, 3)),
     )
-    values = drawn(misalignment(), 2)[None]
-    state = State(np.array([[0.0, 0.0, 1.6]]), about_z(0.3)[None], REFLECTORS, values)
-    exact = MeasurementModel(recording, misalignment()).predict(state)
+    values = drawn(misalignment_construction(), 2)[None]
+    state = NetworkState(np.array([[0.0, 0.0, 1.6]]), rotation_about_z(0.3)[None], REFLECTORS, values)
+    exact = MeasurementModel(recording, misalignment_construction()).predict(state)
     recording = recording.with_readings(exact)
-    exact = exact + find_effect("index-drift")(law="linear").shift(sightings_of(recording, state), np.array([rate]))
+    exact = exact + find_effect("index-drift")(law="linear").reading_change(
+        sightings_of(recording, state), np.array([rate])
+    )
     noise = stream(6, "monitoring").standard_normal(exact.shape)
     return recording.with_readings(exact + recording.sigma() * noise)
 
@@ -63,7 +65,7 @@ def knocked(stations: int) -> tuple[Recording, str]:
     target = len(recording.targets) // 3
     times = np.sort(recording.time[recording.target == target])
     moved = find_effect("target-moved")((), (recording.targets[target],), time=float(np.mean(times[3:5])))
-    change = moved.shift(sightings_of(recording, state), np.array([150e-6, -120e-6, 90e-6]))
+    change = moved.reading_change(sightings_of(recording, state), np.array([150e-6, -120e-6, 90e-6]))
     return recording.with_readings(recording.readings + change), recording.targets[target]
 
 
@@ -86,7 +88,7 @@ def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", 0)
     recording, target = knocked(26)
     found = diagnose(recording, seed=1)
-    assert isinstance(found.baseline.projection, FactorProjection)
+    assert isinstance(found.baseline.residual_projector, FactorProjection)
     assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
     assert found.global_test.search_p_value == pytest.approx(1 / 301)
     assert found.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them

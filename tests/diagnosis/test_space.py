@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_evidence, log_sum_exp
+from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
@@ -18,18 +18,18 @@ from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR, log_share, rows
 from ltsim.diagnosis.space import panels
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import CONSTANT, simple
-from ltsim.physics.laws.responses import RESPONSES
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, scalar_regressor
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
-    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment()))
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +40,9 @@ def made(space):
     return probe, found, [panel.score(probe) for panel in found]
 
 
-def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: np.ndarray) -> float:
+def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
     """Log evidence of a law by its own signature."""
-    left = space.project(space.signature(law))
+    left = space.project(space.whitened_signature(law))
     left -= extension @ (extension.T @ left)
     sizes = np.array([p.prior_sigma for p in law.parameters])
     return posterior(left.T @ left, left.T @ residual, sizes)[2]
@@ -50,7 +50,7 @@ def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: n
 
 def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
     """That is its place, which is estimated; known lengths alone would feel it, and they have errors of their own."""
-    assert not [p for p in made[1] if p.carriers[0].kind == "target" and CONSTANT in p.drivers]
+    assert not [p for p in made[1] if p.carriers[0].kind == "target" and CONSTANT_REGRESSOR in p.drivers]
 
 
 def test_priors_sum_to_one_over_everything(space, made):
@@ -58,9 +58,11 @@ def test_priors_sum_to_one_over_everything(space, made):
     for table in (PRIOR, PLACES, KINDS, AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in rows()) == pytest.approx(1.0, abs=1e-12)
-    assert np.exp(LOG_WEIGHTS).sum() == pytest.approx(1.0)
+    assert np.exp(LOG_SIZE_PRIOR).sum() == pytest.approx(1.0)
     _, found, _ = made
-    laws = sum(np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.spreads) for d in p.drivers) for p in found)
+    laws = sum(
+        np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.coefficient_sigmas) for d in p.drivers) for p in found
+    )
     cards = CatalogueSignatures.of(space, catalogue_hypotheses(space.sightings))
     families = cards.family_evidence(np.zeros(len(cards.effects))) + log_share("named", len(cards.families))
     noise = NoiseBank.of(space, noise_hypotheses(space.sightings))
@@ -82,14 +84,14 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     """Against the plain sum over all sizes of all members, each solved on its own."""
     effects = [find_effect("station-weather")(("S2",)), find_effect("backlash")()]
     members = [Hypothesis(e, -3.0, 0.0, e.name) for e in effects]
-    signatures = [space.signature(e) for e in effects]
+    signatures = [space.whitened_signature(e) for e in effects]
     left = [space.project(g) for g in signatures]
-    whole = space.residual + 9e-6 * left[0][:, 0]
+    whole = space.residuals + 9e-6 * left[0][:, 0]
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
-    for one, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
-        for other, more in zip(SIZES, LOG_WEIGHTS, strict=True):
+    for one, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
+        for other, more in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
             columns = np.hstack([left[0] * one * sizes[0], left[1] * other * sizes[1]])
             inner = np.eye(columns.shape[1]) + columns.T @ columns
             score = columns.T @ whole
@@ -103,46 +105,52 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
 
 def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
     _, found, scored = made
-    nothing = np.zeros((space.size, 0))
+    nothing = np.zeros((space.n_rows, 0))
     for (hits, _, _), panel in zip(scored, found, strict=True):
         for hit in (hits[0], hits[-1]):
-            scales = range(len(hit.driver.spreads))
-            laws = [Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale=k) for k in scales]
-            logs = np.array([alone(space, law, space.residual, nothing) for law in laws])
+            scales = range(len(hit.driver.coefficient_sigmas))
+            laws = [
+                EmpiricalLaw(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale_index=k)
+                for k in scales
+            ]
+            logs = np.array([alone(space, law, space.residuals, nothing) for law in laws])
             exact = log_sum_exp(logs) + hit.log_prior
             assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
 
 
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
-    law = Law((), (), RESPONSES["elevation"][0], simple("move-elevation", "abs"))
-    left = space.project(space.signature(law))
+    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
+    left = space.project(space.whitened_signature(law))
     left /= np.linalg.norm(left)
-    residual = space.residual + 20.0 * left[:, 0]
+    residual = space.residuals + 20.0 * left[:, 0]
     gains = []
-    for extension in (np.zeros((space.size, 0)), left):
+    for extension in (np.zeros((space.n_rows, 0)), left):
         beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
         hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
-        same = (h for h in hits if (h.carrier.name, h.driver) == (law.carrier.name, law.driver))
+        same = (h for h in hits if (h.carrier.name, h.driver) == (law.response.name, law.regressor))
         gains.append(max((h.value - h.log_prior for h in same), default=-np.inf))
     assert gains[0] > 100.0
     assert gains[1] < 0.1
 
 
 def test_many_effects_at_once_are_each_what_it_is_alone(space):
-    law = Law((), (), RESPONSES["elevation"][0], simple("time", "power"))
-    local = [Law(("S2",), (), RESPONSES["distance"][0], CONSTANT), Law(("S2",), (), law.carrier, law.driver)]
+    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("time", "power"))
+    local = [
+        EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["distance"][0], CONSTANT_REGRESSOR),
+        EmpiricalLaw(("S2",), (), law.response, law.regressor),
+    ]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
     found = find_effect("range-drift")()
-    signature = space.signature(found)
+    signature = space.whitened_signature(found)
     left = space.project(signature)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
-    np.testing.assert_allclose(exact.signature(local[0]), space.signature(local[0]))
+    np.testing.assert_allclose(exact.signature(local[0]), space.whitened_signature(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
@@ -169,9 +177,9 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     """What is left of it beside the finding is a small difference of large numbers, one of them sampled."""
     steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
-    signature = space.signature(member.effect)
+    signature = space.whitened_signature(member.effect)
     left = space.project(signature)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residuals)
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
@@ -187,13 +195,13 @@ def test_evidence_is_that_of_the_dense_covariance():
     rng = stream(4, "dense")
     signature, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
     logs = []
-    for t in SIZES:
+    for t in EVIDENCE_SIZES:
         covariance = np.eye(12) + t**2 * signature @ signature.T
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = signature.T @ signature
     found = posterior(gram, signature.T @ residual, np.ones(2))
-    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_WEIGHTS)))
+    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_SIZE_PRIOR)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
 
@@ -205,7 +213,7 @@ def test_a_negative_thickness_is_no_explanation():
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> Ranking:
-        law = Law((), (), RESPONSES["distance"][0], CONSTANT)
+        law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
         return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
@@ -213,8 +221,8 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
-    law = Law((), (), RESPONSES["distance"][0], simple("time", "power"))
-    left = space.project(space.signature(law))
+    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], scalar_regressor("time", "power"))
+    left = space.project(space.whitened_signature(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]

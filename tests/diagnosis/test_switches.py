@@ -12,86 +12,104 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.products import product_forms
 from ltsim.diagnosis.switches import _moments, _toggled, switched_forms
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import CONSTANT, Regressor, passage, simple, smooth, switch
-from ltsim.physics.laws.responses import RESPONSES
-from ltsim.physics.model.construction import misalignment
-from ltsim.scene.regions import Region
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import (
+    CONSTANT_REGRESSOR,
+    Regressor,
+    passage_regressor,
+    scalar_regressor,
+    smooth_regressor,
+    switch_regressor,
+)
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.scene.regions import HallRegion
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
-    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment()))
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
-def with_law(space: ResidualSpace, law: Law, chi2: float) -> Model:
+def with_law(space: ResidualSpace, law: EmpiricalLaw, chi2: float) -> Model:
     """Model without members, whose residuals hold a law of a given chi-square."""
-    signature = space.project(space.signature(law))[:, 0]
-    return Model((), (), (), space.residual + signature * np.sqrt(chi2) / np.linalg.norm(signature))
+    signature = space.project(space.whitened_signature(law))[:, 0]
+    return Model((), (), (), space.residuals + signature * np.sqrt(chi2) / np.linalg.norm(signature))
 
 
 def at(space: ResidualSpace, *shares: float) -> list[Regressor]:
     """Steps at fractions of the time of a recording."""
     time = np.unique(space.sightings.time)
-    return [simple("time", "step", float(0.5 * (time[i] + time[i - 1]))) for i in (int(s * len(time)) for s in shares)]
+    return [
+        scalar_regressor("time", "step", float(0.5 * (time[i] + time[i - 1])))
+        for i in (int(s * len(time)) for s in shares)
+    ]
 
 
 @pytest.mark.parametrize(
     "law",
     [
-        Law((), (), RESPONSES["azimuth"][0], smooth("time")),
-        Law((), (), RESPONSES["lean of the stand"][0], smooth("time")),
-        Law((), (), RESPONSES["distance"][0], Regressor("product", factors=(smooth("time", 4), smooth("distance", 4)))),
-        Law((), (), RESPONSES["distance"][0], passage(Region("z", (1.0,), 0.5))),
+        EmpiricalLaw((), (), RESPONSES_BY_NAME["azimuth"][0], smooth_regressor("time")),
+        EmpiricalLaw((), (), RESPONSES_BY_NAME["lean of the stand"][0], smooth_regressor("time")),
+        EmpiricalLaw(
+            (),
+            (),
+            RESPONSES_BY_NAME["distance"][0],
+            Regressor("product", factors=(smooth_regressor("time", 4), smooth_regressor("distance", 4))),
+        ),
+        EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], passage_regressor(HallRegion("z", (1.0,), 0.5))),
     ],
     ids=["angle", "two components", "product", "region"],
 )
-def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualSpace, law: Law) -> None:
-    base = with_law(space, law.switched(at(space, 0.2, 0.45)), 200.0)
-    exact, edges = EvidenceCalculator(space), law.edges(space.sightings)
-    first = simple("time", "step", -np.inf)
+def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualSpace, law: EmpiricalLaw) -> None:
+    base = with_law(space, law.with_switch(at(space, 0.2, 0.45)), 200.0)
+    exact, edges = EvidenceCalculator(space), law.candidate_switch_times(space.sightings)
+    first = scalar_regressor("time", "step", -np.inf)
     spans = _moments(exact, law, [first, *edges], base)
-    on, _, toggled = _toggled(spans, law.switched([first]).spread)
+    on, _, toggled = _toggled(spans, law.with_switch([first]).size_scales)
     assert toggled >= 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     state, size = on.astype(float), np.sqrt(on @ spans.square)
     gram = np.einsum("s,swtv,t->wv", state, spans.gram, state) / size**2
-    switched = law.switched([first, *chosen] if on[0] else chosen)
-    value = evidence_with(gram, state @ spans.score / size, switched.spread)
+    switched = law.with_switch([first, *chosen] if on[0] else chosen)
+    value = evidence_with(gram, state @ spans.score / size, switched.size_scales)
     assert float(value) == pytest.approx(float(exact.evidence([switched], base)[0]), rel=1e-6)
 
 
 def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
-    law = Law((), (), RESPONSES["azimuth"][0], smooth("time"))
+    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["azimuth"][0], smooth_regressor("time"))
     times = at(space, 0.15, 0.3, 0.55, 0.8)
-    base = with_law(space, law.switched(times), 600.0)
+    base = with_law(space, law.with_switch(times), 600.0)
     exact = EvidenceCalculator(space)
     found = switched_forms(exact, law, 0.0, base)[0].effect
-    assert isinstance(found, Law) and found.driver.kind == "switch"
-    values = exact.evidence([found, law.switched(times)], base)
+    assert isinstance(found, EmpiricalLaw) and found.regressor.kind == "switch"
+    values = exact.evidence([found, law.with_switch(times)], base)
     assert values[0] > values[1] - 1.0  # changes between two set-ups are absorbed by their poses
-    edges = np.array([edge.constant for edge in found.driver.factors])
+    edges = np.array([edge.constant for edge in found.regressor.factors])
     assert all(np.abs(edges - t.constant).min() < 60.0 for t in times[:3])
 
 
 def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpace) -> None:
-    region = passage(Region("z", (0.8,), 0.4))
-    gate = switch(at(space, 0.1, 0.2, 0.4, 0.5))
-    law = Law((), (), RESPONSES["distance"][0], Regressor("product", factors=(region, gate)))
+    region = passage_regressor(HallRegion("z", (0.8,), 0.4))
+    gate = switch_regressor(at(space, 0.1, 0.2, 0.4, 0.5))
+    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
     base, exact = with_law(space, law, 600.0), EvidenceCalculator(space)
-    of_time = switched_forms(exact, Law((), (), law.carrier, smooth("time")), 0.0, base)
+    of_time = switched_forms(exact, EmpiricalLaw((), (), law.response, smooth_regressor("time")), 0.0, base)
     found = max(product_forms(exact, of_time[0], base), key=lambda form: form.value)
-    assert isinstance(found.effect, Law) and found.effect.driver.hall_region is not None
+    assert isinstance(found.effect, EmpiricalLaw) and found.effect.regressor.hall_region is not None
     assert found.value > of_time[0].value + 20.0
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_band_of_a_coordinate_with_a_single_target_is_no_law(space: ResidualSpace, axis: str) -> None:
     """The cause belongs to that target: a wrong constant of its reflector, for example."""
-    carrier, sightings = RESPONSES["distance"][0], space.sightings
+    carrier, sightings = RESPONSES_BY_NAME["distance"][0], space.sightings
     at = sightings.quantities[axis][np.unique(sightings.target, return_index=True)[1]]
     middle = int(np.argsort(at)[len(at) // 2])
-    base = with_law(space, Law((), (sightings.target_names[middle],), carrier, CONSTANT), 1e4)
-    assert switched_forms(EvidenceCalculator(space), Law((), (), carrier, smooth(axis)), 0.0, base) == []
+    base = with_law(space, EmpiricalLaw((), (sightings.target_names[middle],), carrier, CONSTANT_REGRESSOR), 1e4)
+    assert (
+        switched_forms(EvidenceCalculator(space), EmpiricalLaw((), (), carrier, smooth_regressor(axis)), 0.0, base)
+        == []
+    )

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ltsim.simulation.scenario import Scenario, scenario_from
+from ltsim.simulation.scenario import Scenario, validate_scenario
 
 HALL = (50_000, 30_000, 8_000)
 """[mm]"""
@@ -47,7 +47,7 @@ def scenario_of(
     own[off]["errors"] |= {"beam-tilt": 15.0} if errors is None else dict(errors)
     for table in own.values():
         table["limits"] = {"range_min_mm": 1_000, "range_max_mm": REACH}
-    return scenario_from(
+    return validate_scenario(
         {
             "format": "ltsim-scenario/1",
             "title": f"{setups} set-ups of {trackers} trackers, {off} is off",

@@ -17,12 +17,12 @@ import pytest
 import ltsim as lt
 from experiments.intervals import share
 from ltsim.adjustment import adjust
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.nest_lift import NestLift
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 
 PLACE = "experiments.20_concealed_physics."
 hall_of, known, law, made, tracker, score, report, entrants = (
@@ -67,12 +67,12 @@ def read(hall: Any, readings: Any, folder: Path) -> Any:
     return lt.read(folder)
 
 
-def state_of(hall: Any, recording: Any) -> State:
+def state_of(hall: Any, recording: Any) -> NetworkState:
     """The truth, in the order in which a reader meets stations, targets and instruments."""
     p = hall.pointings
     stations, targets = ([own.index(name) for name in theirs] for own, theirs in
                          ((hall.stations, recording.stations), (hall.targets, recording.targets)))  # fmt: skip
-    return State(p.position[stations], p.rotation[stations], p.points[targets], p.constants)
+    return NetworkState(p.position[stations], p.rotation[stations], p.points[targets], p.constants)
 
 
 @pytest.mark.long
@@ -119,10 +119,10 @@ def test_both_simulators_read_the_same(number: int, tmp_path: Path) -> None:
     hall = halls(number + 1)[number]
     mine = hall.pointings.readings()
     recording = read(hall, mine, tmp_path)
-    gap = mine - MeasurementModel(recording, misalignment()).predict(state_of(hall, recording))
-    gap[:, 1] = wrap(gap[:, 1])
+    gap = mine - MeasurementModel(recording, misalignment_construction()).predict(state_of(hall, recording))
+    gap[:, 1] = wrap_angle(gap[:, 1])
     assert np.abs(gap).max() < 1e-9
-    assert misalignment().names == tracker.CONSTANTS
+    assert misalignment_construction().parameter_names == tracker.CONSTANTS
 
 
 def effect_of(name: str, cause: Any, order: int) -> Effect:
@@ -161,8 +161,8 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
             fits.append(np.abs(theirs - change.variance).max())
             continue
         mine = hall.pointings.readings(change) - hall.pointings.readings()
-        mine[:, 1] = wrap(mine[:, 1])
-        theirs = effect.shift(sightings, values)
+        mine[:, 1] = wrap_angle(mine[:, 1])
+        theirs = effect.reading_change(sightings, values)
         assert np.abs(mine).max() > 1e-6
         # The catalogue takes the geometry of the ideal tracker: errors of 1e-4 rad change a change by as much.
         fits.append(np.abs(mine - theirs).max() / np.abs(mine).max())
@@ -187,13 +187,13 @@ def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, 
     for part in (-1.0, 0.0, 1.0):  # either way: what the prior of the constants leaves has no part in the mean
         folder = tmp_path / str(part)
         write(hall, hall.pointings.readings(change.scaled(part)), hall.lengths + part * wrong, folder)
-        left.append(adjust(lt.read(folder), misalignment()).chi2)
+        left.append(adjust(lt.read(folder), misalignment_construction()).chi2)
     assert 0.5 * (left[0] + left[2]) - left[1] == pytest.approx(strength, rel=0.1)
 
 
 def test_a_large_hall_has_above_500_unknowns() -> None:
     hall = hall_of.draw_hall(np.random.default_rng(3), "large")
-    assert 6 * (len(hall.stations) - 1) + 3 * len(hall.targets) + 16 * len(hall.trackers) > 500
+    assert 6 * (len(hall.stations) - 1) + 3 * len(hall.targets) + 16 * len(hall.trackers_in_use) > 500
     seen = np.unique(np.stack([hall.pointings.station, hall.pointings.target]), axis=1)[1]
     assert np.bincount(seen).min() >= 3
 

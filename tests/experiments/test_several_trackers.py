@@ -13,7 +13,7 @@ def test_the_trackers_take_turns_and_every_setup_shares_reflectors() -> None:
     recording, truth = lt.simulate(scenario_of(setups=20), seed=1)
     assert recording.instruments == ("A", "B", "C", "D")
     assert [t.stations[:2] for t in truth.instruments][:2] == [("S001", "S005"), ("S002", "S006")]
-    assert truth.instrument["beam-tilt@C"] == pytest.approx(15e-6)
+    assert truth.instrument_values["beam-tilt@C"] == pytest.approx(15e-6)
     assert np.bincount(recording.station).min() >= 6 and len(recording.notes) == 1
 
 
@@ -33,11 +33,11 @@ def test_the_constant_that_is_off_stands_out_and_lies_in_its_interval(
     recording, truth = lt.simulate(scenario_of(off=off, errors={name: size}, faces=faces), seed=11)
     assert len(recording.stations) == 100
     found = lt.calibrate(recording)
-    values, sigma = found.values.ravel(), found.sigma.ravel()
-    outstanding = [flat for flat, z in zip(found.names, values / sigma, strict=True) if abs(z) > 5]
+    values, sigma = found.estimates.ravel(), found.sigma.ravel()
+    outstanding = [flat for flat, z in zip(found.instrument_parameter_names, values / sigma, strict=True) if abs(z) > 5]
     assert outstanding == [f"{name}@{off}"]
-    at = found.names.index(f"{name}@{off}")
-    assert abs(values[at] - truth.instrument[f"{name}@{off}"]) < 1.96 * sigma[at]
+    at = found.instrument_parameter_names.index(f"{name}@{off}")
+    assert abs(values[at] - truth.instrument_values[f"{name}@{off}"]) < 1.96 * sigma[at]
 
 
 @pytest.mark.long
@@ -53,4 +53,4 @@ def test_a_diagnosis_tells_which_tracker_is_off_in_what_and_how_much(
     first = lt.diagnose(recording).findings[0]
     value = next(p for p in first.parameters if name in p.name)
     assert first.effect == name and list(first.where.instruments) == [off]
-    assert abs(value.value - 1e6 * truth.instrument[f"{name}@{off}"]) < 1.96 * value.sigma
+    assert abs(value.value - 1e6 * truth.instrument_values[f"{name}@{off}"]) < 1.96 * value.sigma

@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rotations import from_rotation_vector
 
 seeds = st.integers(0, 10_000)
@@ -17,7 +17,7 @@ def test_a_rigid_move_is_found_again(seed: int, count: int) -> None:
     rng = stream(seed, "alignment")
     source = rng.uniform(-5, 5, (count, 3))
     turn, shift = from_rotation_vector(rng.uniform(-3, 3, 3)), rng.uniform(-9, 9, 3)
-    rotation, translation = align(source, source @ turn.T + shift)
+    rotation, translation = align_rigidly(source, source @ turn.T + shift)
     np.testing.assert_allclose(rotation, turn, atol=1e-11)
     np.testing.assert_allclose(translation, shift, atol=1e-10)
 
@@ -27,7 +27,7 @@ def test_no_other_move_fits_better(seed: int) -> None:
     rng = stream(seed, "optimum")
     source, goal = rng.uniform(-5, 5, (2, 6, 3))
     weights = rng.uniform(0.1, 2, 6)
-    rotation, translation = align(source, goal, weights)
+    rotation, translation = align_rigidly(source, goal, weights)
 
     def misfit(turn: np.ndarray, shift: np.ndarray) -> float:
         return float(weights @ np.sum((goal - source @ turn.T - shift) ** 2, axis=1))
@@ -41,7 +41,7 @@ def test_no_other_move_fits_better(seed: int) -> None:
 @given(seeds)
 def test_a_mirror_image_is_never_answered_with_a_reflection(seed: int) -> None:
     source = stream(seed, "mirror").uniform(-5, 5, (6, 3))
-    rotation, _ = align(source, source * [1, 1, -1])
+    rotation, _ = align_rigidly(source, source * [1, 1, -1])
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-12)
 
 
@@ -49,17 +49,17 @@ def test_a_point_without_weight_has_no_say() -> None:
     source = stream(0, "weights").uniform(-5, 5, (5, 3))
     goal = source + [1.0, 2.0, 3.0]
     goal[0] += 50
-    rotation, translation = align(source, goal, np.array([0.0, 1, 1, 1, 1]))
+    rotation, translation = align_rigidly(source, goal, np.array([0.0, 1, 1, 1, 1]))
     np.testing.assert_allclose(rotation, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(translation, [1, 2, 3], atol=1e-12)
 
 
 def test_two_points_are_too_few() -> None:
     with pytest.raises(NetworkError, match="at least three"):
-        align(np.eye(3)[:2], np.eye(3)[:2])
+        align_rigidly(np.eye(3)[:2], np.eye(3)[:2])
 
 
 def test_points_on_one_line_leave_a_turn_open() -> None:
     line = np.outer([1.0, 2.0, 3.0, 5.0], [1.0, 1.0, 0.5])
     with pytest.raises(NetworkError, match="not on one line"):
-        align(line, line)
+        align_rigidly(line, line)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap
+from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 pointings = st.tuples(st.floats(0.5, 40), st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.sampled_from([1, 2]))
 many = st.lists(pointings, min_size=1, max_size=6)
@@ -43,7 +43,7 @@ def test_the_axes_are_where_the_frame_puts_them() -> None:
 
 @given(st.floats(-50, 50))
 def test_wrap_keeps_the_direction(angle: float) -> None:
-    wrapped = wrap(np.array([angle]))[0]
+    wrapped = wrap_angle(np.array([angle]))[0]
     assert -np.pi < wrapped <= np.pi
     np.testing.assert_allclose([np.cos(wrapped), np.sin(wrapped)], [np.cos(angle), np.sin(angle)], atol=1e-13)
 
@@ -65,7 +65,7 @@ def test_derivative_of_the_readings_by_the_point(rows: list[tuple[float, float, 
     for axis in range(3):
         move = step[:, None] * np.eye(3)[axis]
         change = to_face(to_polar(points + move), face) - to_face(to_polar(points - move), face)
-        change[:, 1] = wrap(change[:, 1])
+        change[:, 1] = wrap_angle(change[:, 1])
         numeric[:, :, axis] = change / (2 * step[:, None])
     analytic = polar_jacobian(polar, face)
     scale = np.max(np.abs(analytic), axis=(1, 2), keepdims=True)

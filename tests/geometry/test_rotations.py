@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector, quaternion
+from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, quaternion_from_matrix, rotation_about_z
 
 IDENTITY = np.broadcast_to(np.eye(3), (4, 3, 3))
 vectors = arrays(np.float64, (4, 3), elements=st.floats(-3, 3))
@@ -38,14 +38,14 @@ def test_a_small_rotation_is_the_cross_matrix(vector: Floats) -> None:
 
 @given(st.floats(-7, 7))
 def test_about_z_is_counter_clockwise_seen_from_above(angle: float) -> None:
-    np.testing.assert_allclose(about_z(angle), from_rotation_vector(np.array([0.0, 0.0, angle])), atol=1e-14)
-    np.testing.assert_allclose(about_z(angle) @ [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0])
+    np.testing.assert_allclose(rotation_about_z(angle), from_rotation_vector(np.array([0.0, 0.0, angle])), atol=1e-14)
+    np.testing.assert_allclose(rotation_about_z(angle) @ [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0])
 
 
 @given(arrays(np.float64, 3, elements=st.floats(-3, 3)))
 def test_quaternion_is_of_unit_length_and_describes_the_rotation(vector: Floats) -> None:
     matrix = from_rotation_vector(vector)
-    x, y, z, w = quaternion(matrix)
+    x, y, z, w = quaternion_from_matrix(matrix)
     axis, length = np.array([x, y, z]), np.linalg.norm([x, y, z, w])
     rebuilt = (2 * w * w - 1) * np.eye(3) + 2 * np.outer(axis, axis) + 2 * w * cross_matrix(axis)
     np.testing.assert_allclose(length, 1.0, atol=1e-14)

@@ -14,17 +14,17 @@ from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_coordinates
-from ltsim.recordings.coordinates import Coordinates, read_coordinates
+from ltsim.recordings.coordinates import EpochCoordinates, read_coordinates
 from ltsim.recordings.result_file import read_result
 from tests.networks import network as small_network
 
 POINTS = ("901", "902", "903", "904", "905")
 
 
-def crown(epoch: int) -> Coordinates:
+def crown(epoch: int) -> EpochCoordinates:
     """Five points on the crown of a wall, seen from fixed points in both epochs; they did not move."""
     rng = stream(9, "crown", epoch)
     root = 0.4 * rng.normal(size=(10, 10)) + np.diag(np.full(10, 1.0))
@@ -32,7 +32,7 @@ def crown(epoch: int) -> Coordinates:
     points = np.zeros((5, 3))
     points[:, :2] = stream(9, "wall").uniform(100.0, 300.0, (5, 2))
     points[:, :2] += np.linalg.cholesky(covariance).dot(rng.normal(size=10)).reshape(5, 2)
-    return Coordinates(f"epoch {epoch + 1}", POINTS, "xy", points, covariance)
+    return EpochCoordinates(f"epoch {epoch + 1}", POINTS, "xy", points, covariance)
 
 
 def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
@@ -44,15 +44,15 @@ def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
         d @ np.linalg.solve((first.covariance + second.covariance)[b], d) for d, b in zip(shift, blocks, strict=True)
     ]
     np.testing.assert_allclose([d.point_chi2 for d in found.displacements], own, rtol=1e-9)
-    assert not found.moved
+    assert not found.moved_points
     assert found.dof == 10
 
 
-def written(found: Coordinates, path: Path) -> Path:
+def written(found: EpochCoordinates, path: Path) -> Path:
     """The list as CSV with its covariance beside it."""
     header = ["target", *(f"{axis}_mm" for axis in found.axes)]
     rows = [
-        [name, *(repr(1e3 * float(p[k])) for k in found.along)]
+        [name, *(repr(1e3 * float(p[k])) for k in found.axis_indices)]
         for name, p in zip(found.names, found.points, strict=True)
     ]
     path.write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
@@ -73,7 +73,7 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     own = [d.point_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
     np.testing.assert_allclose([d.point_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
-    assert not lt.compare(*paths).moved
+    assert not lt.compare(*paths).moved_points
     assert run(["compare", *paths, "--robust"]) == 2
     assert "contain no readings" in capsys.readouterr().err
     (tmp_path / "1.covariance.csv").write_text("covariance_mm2,901.x\n901.x,1\n")
@@ -81,14 +81,14 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "lacks the coordinate 901.y" in capsys.readouterr().err
 
 
-def network(axes: str, seed: int, shift: Floats | None = None, *, turned: bool = False) -> Coordinates:
+def network(axes: str, seed: int, shift: Floats | None = None, *, turned: bool = False) -> EpochCoordinates:
     """Ten points of a free adjustment (inner constraints), somewhere else in each epoch where `turned`."""
     rng = stream(5, "places")
     along = np.array(["xyz".index(axis) for axis in axes])
     points = np.zeros((10, 3))
     points[:, along] = rng.uniform(0, 10, (10, 3))[:, along]
     raw = rng.normal(size=(10 * len(along),) * 2) * 1e-4
-    free = rigid_motion(points).reshape(10, 3, 6)[:, along].reshape(-1, 6)
+    free = rigid_motion_design(points).reshape(10, 3, 6)[:, along].reshape(-1, 6)
     basis = scipy.linalg.orth(free[:, np.linalg.norm(free, axis=0) > 0])
     project = np.eye(len(raw)) - basis @ basis.T
     covariance = project @ (raw @ raw.T / len(raw) + 1e-9 * np.eye(len(raw))) @ project
@@ -104,7 +104,7 @@ def network(axes: str, seed: int, shift: Floats | None = None, *, turned: bool =
         moved = moved @ turn.T + (np.array([3.0, -2.0, 1.0]) * [axis in axes for axis in "xyz"])
         big = np.kron(np.eye(10), turn[np.ix_(along, along)])
         covariance = big @ covariance @ big.T
-    return Coordinates("free", tuple(f"P{i}" for i in range(10)), axes, moved, covariance)
+    return EpochCoordinates("free", tuple(f"P{i}" for i in range(10)), axes, moved, covariance)
 
 
 @pytest.mark.parametrize("axes", ["xyz", "xy", "z"])
@@ -115,11 +115,11 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     found = [compare_coordinates(*pair, free=True) for pair in pairs]
     assert found[0].dof == {"xyz": 24, "xy": 17, "z": 9}[axes]
     assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
-    assert sum(bool(c.moved) for c in found) <= 6
+    assert sum(bool(c.moved_points) for c in found) <= 6
     shift = np.zeros((10, 3))
     shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
-    assert moved.moved == ("P4",)
+    assert moved.moved_points == ("P4",)
     assert moved.displacements[0].point_chi2 is None
 
 
@@ -131,7 +131,7 @@ def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
     pair = network(axes, 0), network(axes, 1, shift, turned=len(axes) > 1)
     plain, free = compare_coordinates(*pair), compare_coordinates(*pair, free=True)
     assert plain.dof == free.dof
-    assert plain.moved == free.moved == ("P4",)
+    assert plain.moved_points == free.moved_points == ("P4",)
     np.testing.assert_allclose(plain.displacements[4].sigma_um, free.displacements[4].sigma_um, rtol=1e-6)
     assert len(plain.notes) == 1 and "motions of the whole network open" in plain.notes[0]
     assert not free.notes
@@ -141,7 +141,7 @@ def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
 def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
     """Constraints on three of ten points: the covariance has its rank defect elsewhere."""
     whole = network("xyz", 0)
-    motions = rigid_motion(whole.points)
+    motions = rigid_motion_design(whole.points)
     hold = np.zeros((30, 30))
     hold[:9, :9] = np.eye(9)
     project = np.eye(30) - motions @ np.linalg.solve(motions.T @ hold @ motions, motions.T @ hold)
@@ -157,7 +157,7 @@ def test_exchanged_names_are_named_and_no_motion_is(tmp_path: Path, cycle: tuple
     for place, other in zip(cycle, cycle[1:] + cycle[:1], strict=True):
         names[place] = second.names[other]
     mixed = compare_coordinates(first, replace(second, names=tuple(names)), free=True)
-    assert not mixed.moved
+    assert not mixed.moved_points
     assert f"the names {', '.join(f'P{i}' for i in cycle)} are exchanged" in mixed.notes[0]
     assert mixed.p_value == pytest.approx(compare_coordinates(first, second, free=True).p_value, rel=1e-6)
 
@@ -168,7 +168,7 @@ def test_numbers_of_rows_are_no_names(tmp_path: Path) -> None:
         text = "\n".join(["ID,Feature,X [mm],Y [mm],Z [mm],sigma_mm", *rows])
         (tmp_path / f"{i}.csv").write_text(text + "\n")
     found = lt.compare(tmp_path / "0.csv", tmp_path / "1.csv")
-    assert [d.target for d in found.displacements] == ["R0", "R1", "R2"] and not found.moved
+    assert [d.target for d in found.displacements] == ["R0", "R1", "R2"] and not found.moved_points
 
 
 def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path) -> None:
@@ -237,6 +237,6 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(LtsimError, match="another one alone"):
         lt.compare(path, lt.simulate("paper-workshop", seed=1)[0])
     two = network("xy", 1)
-    few = Coordinates("", two.names[:2], "xy", two.points[:2], two.covariance[:4, :4])
+    few = EpochCoordinates("", two.names[:2], "xy", two.points[:2], two.covariance[:4, :4])
     with pytest.raises(LtsimError, match="share 2 points; at least 3"):
         compare_coordinates(few, few, free=True)

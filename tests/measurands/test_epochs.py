@@ -11,18 +11,18 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
 from ltsim.measurands.comparison import Comparison
-from ltsim.measurands.epochs import compare
-from ltsim.physics.model.construction import misalignment
+from ltsim.measurands.epochs import compare_adjustments
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_result
 from tests.networks import drawn, network
 
-ERRORS = drawn(misalignment(), 7)
+ERRORS = drawn(misalignment_construction(), 7)
 
 
 def epoch(seed: int, shift: tuple[str, tuple[float, float, float]] | None = None) -> Adjustment:
-    return adjust(recorded(seed, shift), misalignment())
+    return adjust(recorded(seed, shift), misalignment_construction())
 
 
 def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = None) -> Recording:
@@ -31,29 +31,31 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust(clean, misalignment(), start=truth.state)
-    points = truth.state.points.copy()
+    found = adjust(clean, misalignment_construction(), start=truth.state)
+    points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
-    moved = type(truth.state)(truth.state.position, truth.state.rotation, points, truth.state.instrument)
+    moved = type(truth.state)(
+        truth.state.station_positions, truth.state.station_rotations, points, truth.state.instrument_parameters
+    )
     model = found.problem.model
     return recording.with_readings(recording.readings + model.predict(moved) - model.predict(truth.state))
 
 
 @pytest.mark.long
 def test_no_motion_is_told_where_there_is_none() -> None:
-    found = [compare(epoch(2 * i + 1), epoch(2 * i + 2), same_instrument=True) for i in range(12)]
-    assert sum(bool(c.moved) for c in found) <= 2
+    found = [compare_adjustments(epoch(2 * i + 1), epoch(2 * i + 2), same_instrument=True) for i in range(12)]
+    assert sum(bool(c.moved_points) for c in found) <= 2
     assert 0.2 < np.mean([c.p_value for c in found]) < 0.8  # uniform: 0.5 +- 0.08
 
 
 def test_a_point_that_moved_is_named_and_no_other() -> None:
     first = epoch(1)
-    plain = compare(first, epoch(2), same_instrument=True)
+    plain = compare_adjustments(first, epoch(2), same_instrument=True)
     size = 1.5e-6 * plain.displacements[5].visible_um[1]
     direction = np.array([1.0, -2.0, 1.0]) / np.sqrt(6.0)
     shift = (size * direction[0], size * direction[1], size * direction[2])
-    found = compare(first, epoch(2, ("T06", shift)), same_instrument=True)
-    assert found.moved == ("T06",)
+    found = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
+    assert found.moved_points == ("T06",)
     told = found.displacements[5]
     gap = told.shift_um - 1e6 * np.array(shift)
     assert gap @ np.linalg.solve(told.covariance_um2, gap) < 16.3  # 99.9 % of three directions
@@ -64,15 +66,15 @@ def test_a_point_that_moved_is_named_and_no_other() -> None:
 def test_the_frame_may_be_held_by_stable_points_or_by_the_moved_one_too() -> None:
     """The frame of each epoch is the first station's; no point is special."""
     second = epoch(2, ("T06", (0.0, 0.0, 300e-6)))
-    free = compare(epoch(1), second, same_instrument=True)
-    held = compare(epoch(1), second, same_instrument=True, stable=("T01", "T08", "T12", "T20"))
-    assert free.moved == held.moved == ("T06",)
+    free = compare_adjustments(epoch(1), second, same_instrument=True)
+    held = compare_adjustments(epoch(1), second, same_instrument=True, stable=("T01", "T08", "T12", "T20"))
+    assert free.moved_points == held.moved_points == ("T06",)
     assert not any(d.moved for d in held.displacements if d.target in ("T01", "T08"))
 
 
 def test_what_both_epochs_share_does_not_count() -> None:
     first, second = epoch(1), epoch(2)
-    apart, same = compare(first, second), compare(first, second, same_instrument=True)
+    apart, same = compare_adjustments(first, second), compare_adjustments(first, second, same_instrument=True)
     assert same.statistic > apart.statistic
     assert all(
         s.visible_um[1] <= a.visible_um[1] * (1 + 1e-9)
@@ -92,17 +94,17 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
         }
     )
     grown = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": gauge}))
-    found = compare(epoch(1), adjust(grown, misalignment()), scaled=True)
+    found = compare_adjustments(epoch(1), adjust(grown, misalignment_construction()), scaled=True)
     assert found.scale_ppm == pytest.approx(20, abs=6)
-    assert not found.moved
+    assert not found.moved_points
 
 
 def test_too_little_in_common_is_said() -> None:
     first = epoch(1)
     with pytest.raises(LtsimError, match="common point"):
-        compare(first, epoch(2), stable=("T01", "T02", "T99"))
+        compare_adjustments(first, epoch(2), stable=("T01", "T02", "T99"))
     with pytest.raises(LtsimError, match="at least 3"):
-        compare(first, epoch(2), stable=("T01", "T02"))
+        compare_adjustments(first, epoch(2), stable=("T01", "T02"))
 
 
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

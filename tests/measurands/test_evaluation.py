@@ -14,15 +14,15 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.randomness import stream
-from ltsim.measurands.evaluation import Evaluation, evaluate_tasks
-from ltsim.measurands.inputs import Inputs, Source
+from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
+from ltsim.measurands.inputs import TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
-from ltsim.measurands.propagation import draw, expansion_of, propagate, shortest_intervals
-from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
-from ltsim.measurands.uncertainty import Uncertainty, compared, conformity, normalised_error
-from ltsim.physics.model.construction import misalignment
+from ltsim.measurands.propagation import part_expansion, propagate, run_monte_carlo, shortest_intervals
+from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, ToleranceLimits, validate_tasks
+from ltsim.measurands.uncertainty import Uncertainty, evaluate_conformity, normalised_error, normalised_errors_of_files
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
-from ltsim.recordings.recording import ENDINGS
+from ltsim.recordings.recording import UNIT_SUFFIXES
 from ltsim.recordings.result_file import read_result
 from ltsim.simulation.verbs import simulate
 from tests.families import family
@@ -45,19 +45,19 @@ TASKS: dict[str, Any] = {
 
 
 def tasks(**changes: Any) -> Tasks:
-    return tasks_from({**TASKS, **changes}, "tasks.toml")
+    return validate_tasks({**TASKS, **changes}, "tasks.toml")
 
 
 @cache
-def evaluated() -> Evaluation:
-    recording, _ = network(faces=2, seed=3, values=drawn(misalignment(), 7))
+def evaluated() -> TaskEvaluation:
+    recording, _ = network(faces=2, seed=3, values=drawn(misalignment_construction(), 7))
     return evaluate_tasks(recording, tasks())
 
 
 def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
-    own = np.sum([source.covariance for source in inputs.sources if source.kind == "A"], axis=0)
-    for i, name in enumerate(inputs.targets):
+    own = np.sum([source.covariance for source in inputs.sources if source.evaluation_type == "A"], axis=0)
+    for i, name in enumerate(inputs.target_names):
         block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
 
@@ -66,54 +66,54 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     """Of a reflector in fixed nests, and of readings together: all sources add up to the covariance."""
     recording, _ = simulate("paper-workshop", seed=2)
     shared = 3e-3 * np.sin(np.arange(len(recording)))
-    recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{ENDINGS[0]}": shared})
+    recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{UNIT_SUFFIXES[0]}": shared})
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
     names = {"error of a reflector against incidence", "error that readings share"}
-    assert {source.name for source in inputs.sources if source.kind == "B"} == names
-    for i, name in enumerate(inputs.targets):
+    assert {source.name for source in inputs.sources if source.evaluation_type == "B"} == names
+    for i, name in enumerate(inputs.target_names):
         block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
-    largest = max(np.trace(source.covariance) for source in inputs.sources if source.kind == "B")
+    largest = max(np.trace(source.covariance) for source in inputs.sources if source.evaluation_type == "B")
     assert largest > 0.05 * np.trace(inputs.covariance)
 
 
 def test_a_datum_of_targets_reaches_the_points() -> None:
     recording, _ = network(seed=3)
     names = ("T01", "T05", "T12", "T20")
-    found = Inputs.of(recording, tasks(datum=names, type_b=[]))
-    expected = adjust(recording, misalignment(), datum=names).target_covariance
-    for i, name in enumerate(found.targets):
+    found = TaskInputs.from_recording(recording, tasks(datum=names, type_b=[]))
+    expected = adjust(recording, misalignment_construction(), datum=names).target_covariance
+    for i, name in enumerate(found.target_names):
         block = found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(block, expected[recording.targets.index(name)], atol=1e-4 * block.max())
 
 
 def test_budgets_add_up_and_both_ways_agree() -> None:
     found = evaluated()
-    total = np.sum(list(found.linear.shares.values()), axis=0)
+    total = np.sum(list(found.linear.variance_by_source.values()), axis=0)
     assert np.allclose(total, np.diag(found.linear.covariance), rtol=1e-9)
     regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
-    assert np.allclose((found.drawn.sigma / found.linear.sigma)[regular], 1.0, atol=0.03)
-    assert found.curved[regular].max() < 0.05
+    assert np.allclose((found.monte_carlo.sigmas / found.linear.sigma)[regular], 1.0, atol=0.03)
+    assert found.curvature_ratios[regular].max() < 0.05
 
 
 def test_it_is_said_where_linear_propagation_fails() -> None:
     """The points of the bore lie on a circle but for their noise: roundness cannot be negative."""
     found = evaluated()
     roundness = [output.name for _, output in found.outputs].index("roundness")
-    assert not found.agrees[roundness]
+    assert not found.interval_agrees[roundness]
     assert any("bore, roundness" in sentence for sentence in found.warnings)
 
 
 def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget() -> None:
     """Readings are drawn with noise and with the type B effects, each adjusted anew, exactly."""
-    recording, _ = network(seed=None, values=drawn(misalignment(), 7))
+    recording, _ = network(seed=None, values=drawn(misalignment_construction(), 7))
     with_weather = tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1])
-    inputs = Inputs.of(recording, with_weather)
-    measurand = Measurand.of(with_weather.task[0], inputs.targets, inputs.points)
-    predicted = propagate(inputs, [measurand], expansion_of(None))
-    noise = sum(share[0] for name, share in predicted.shares.items() if name.endswith("readings"))
-    expected = {False: np.sqrt(noise), True: np.sqrt(noise + predicted.shares["station-weather"][0])}
+    inputs = TaskInputs.from_recording(recording, with_weather)
+    measurand = Measurand.from_task(with_weather.task[0], inputs.target_names, inputs.points)
+    predicted = propagate(inputs, [measurand], part_expansion(None))
+    noise = sum(share[0] for name, share in predicted.variance_by_source.items() if name.endswith("readings"))
+    expected = {False: np.sqrt(noise), True: np.sqrt(noise + predicted.variance_by_source["station-weather"][0])}
     lengths = {True: [], False: []}  # type: dict[bool, list[float]]
     from ltsim.physics.effects import find_effect
 
@@ -125,7 +125,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust(again, misalignment(), start=inputs.origin.state).state.points
+            points = adjust(again, misalignment_construction(), start=inputs.origin.state).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.
@@ -137,10 +137,10 @@ def test_the_tip_of_a_rod_is_worth_what_its_lever_says() -> None:
     """A tip b past the second of two balls d apart: (1 + b/d) of the second's error less b/d of the first's across."""
     task = Task(name="tip", kind="rod", targets=("A", "B"), beyond_mm=300.0)
     points = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]])
-    tip = Measurand.of(task, ("A", "B"), points)
+    tip = Measurand.from_task(task, ("A", "B"), points)
     assert np.allclose(tip.values(points), [0.9, 0.0, 0.0])
-    assert np.allclose(tip.by_points(points)[1], [0, -0.5, 0, 0, 1.5, 0], atol=1e-6)
-    assert np.allclose(tip.by_points(points)[0], [0, 0, 0, 1, 0, 0], atol=1e-6)
+    assert np.allclose(tip.point_derivatives(points)[1], [0, -0.5, 0, 0, 1.5, 0], atol=1e-6)
+    assert np.allclose(tip.point_derivatives(points)[0], [0, 0, 0, 1, 0, 0], atol=1e-6)
 
 
 def test_long_ranges_have_the_air_in_their_budget() -> None:
@@ -151,16 +151,16 @@ def test_long_ranges_have_the_air_in_their_budget() -> None:
     far = near.replace(readings=readings, setup=setup)
     names = {"temperature of the air", "gradient of the air", "turbulence"}
     length = tasks(task=TASKS["task"][:1], type_b=[])
-    assert not names & {source.name for source in Inputs.of(near, length).sources}
+    assert not names & {source.name for source in TaskInputs.from_recording(near, length).sources}
     found = evaluate_tasks(far, length)
-    assert names <= set(found.linear.shares)
+    assert names <= set(found.linear.variance_by_source)
     assert "0.5 K along the beams" in found.warnings[0]
     along = 0.5 * 0.95e-6 * found.linear.values[0]
-    assert 0.3 * along < np.sqrt(found.linear.shares["temperature of the air"][0]) < 3.0 * along
-    stated = Inputs.of(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
+    assert 0.3 * along < np.sqrt(found.linear.variance_by_source["temperature of the air"][0]) < 3.0 * along
+    stated = TaskInputs.from_recording(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
     assert {"gradient of the air", "turbulence"} == names & {source.name for source in stated.sources}
     calm = {"temperature_k": 0.0, "gradient_k_per_m": 0.0, "turbulence_um2_per_m3": 0.0}
-    assert not names & {source.name for source in Inputs.of(far, tasks(type_b=[], air=calm)).sources}
+    assert not names & {source.name for source in TaskInputs.from_recording(far, tasks(type_b=[], air=calm)).sources}
 
 
 def test_published_distributions() -> None:
@@ -170,16 +170,16 @@ def test_published_distributions() -> None:
     for sizes, sigma, half in (((1.0, 1.0, 1.0, 1.0), 2.00, 3.88), ((1.0, 1.0, 1.0, 10.0), 10.15, 17.0)):
         response = np.zeros((3, 4))
         response[0] = sizes
-        source = Source("inputs", "B", response, "rectangular")
-        inputs = Inputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
-        linear = propagate(inputs, [measurand], expansion_of(None))
-        found = draw(inputs, [measurand], expansion_of(None), MonteCarlo(), linear)
-        assert found.sigma[0] == pytest.approx(sigma, rel=1e-3)
-        assert found.symmetric[0] == pytest.approx([-half, half], abs=0.02)
-        assert found.trials == 20_000, "the sum is linear: its distribution is known without drawing"
+        source = UncertaintySource("inputs", "B", response, "rectangular")
+        inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
+        linear = propagate(inputs, [measurand], part_expansion(None))
+        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(), linear)
+        assert found.sigmas[0] == pytest.approx(sigma, rel=1e-3)
+        assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
+        assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
-        assert linear.expanded(0.95)[0] == pytest.approx(expanded, abs=0.05)
-    assert not found.agrees(linear, 0.95)[0]
+        assert linear.expanded_uncertainty(0.95)[0] == pytest.approx(expanded, abs=0.05)
+    assert not found.interval_agrees(linear, 0.95)[0]
 
 
 @pytest.mark.parametrize("digits", family([1, 2]))
@@ -187,26 +187,30 @@ def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(dig
     """JCGM 101:2008, 8.2: compared with delta only when the trials' own error is a fifth of it; 100 seeds, no alarm."""
     measurand = Measurand(Task(name="place", kind="point", targets=("P",)), np.array([0]))
     response = stream(3, "response").normal(size=(3, 5))
-    inputs = Inputs(cast(Adjustment, None), ("P",), np.ones((1, 3)), np.zeros((0, 3)), (Source("in", "A", response),))
-    linear = propagate(inputs, [measurand], expansion_of(None))
+    inputs = TaskInputs(
+        cast(Adjustment, None), ("P",), np.ones((1, 3)), np.zeros((0, 3)), (UncertaintySource("in", "A", response),)
+    )
+    linear = propagate(inputs, [measurand], part_expansion(None))
     for seed in range(100):
-        found = draw(inputs, [measurand], expansion_of(None), MonteCarlo(digits=digits, seed=seed), linear)
-        assert found.stable.all(), seed
-        assert np.all(5 * found.error <= found.tolerance), seed
-        assert found.agrees(linear, 0.95).all(), seed
+        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(digits=digits, seed=seed), linear)
+        assert found.is_stable.all(), seed
+        assert np.all(5 * found.numerical_errors <= found.tolerances), seed
+        assert found.interval_agrees(linear, 0.95).all(), seed
 
 
 def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
     """The length of a vector whose place is known to a third of it: noncentral chi, found without bias."""
     points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    measurand = Measurand.of(Task(name="length", kind="distance", targets=("A", "B")), ("A", "B"), points)
+    measurand = Measurand.from_task(Task(name="length", kind="distance", targets=("A", "B")), ("A", "B"), points)
     response = np.vstack([np.zeros((3, 3)), np.eye(3)])
-    inputs = Inputs(cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (Source("in", "A", response),))
-    linear = propagate(inputs, [measurand], expansion_of(None))
-    found = draw(inputs, [measurand], expansion_of(None), MonteCarlo(), linear)
-    assert not found.agrees(linear, 0.95)[0]
+    inputs = TaskInputs(
+        cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (UncertaintySource("in", "A", response),)
+    )
+    linear = propagate(inputs, [measurand], part_expansion(None))
+    found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(), linear)
+    assert not found.interval_agrees(linear, 0.95)[0]
     expected = np.sqrt(stats.ncx2.ppf([0.025, 0.975], 3, 9.0))
-    assert found.symmetric[0] == pytest.approx(expected, abs=2 * found.error[0])
+    assert found.symmetric_intervals[0] == pytest.approx(expected, abs=2 * found.numerical_errors[0])
 
 
 def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
@@ -216,17 +220,17 @@ def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
 
 
 def test_conformity() -> None:
-    limits = Tolerance(lower=0.0, upper=10.0)
-    at_limit = conformity(10.0, 1.0, limits, Decision(rule="simple"))
+    limits = ToleranceLimits(lower=0.0, upper=10.0)
+    at_limit = evaluate_conformity(10.0, 1.0, limits, Decision(rule="simple"))
     assert at_limit.probability == pytest.approx(0.5, abs=1e-6)
     assert at_limit.judgement == "accepted"
-    guarded = conformity(9.0, 1.0, limits, Decision(risk=0.05))
+    guarded = evaluate_conformity(9.0, 1.0, limits, Decision(risk=0.05))
     assert guarded.guard_band == pytest.approx(1.645, abs=1e-3)
     assert guarded.judgement == "undecided"
-    inside = conformity(10.0 - 1.645, 1.0, limits, Decision(risk=0.05))
+    inside = evaluate_conformity(10.0 - 1.645, 1.0, limits, Decision(risk=0.05))
     assert inside.judgement == "accepted"
     assert inside.wrong == pytest.approx(0.05, abs=1e-3)
-    assert conformity(12.0, 1.0, limits, Decision()).judgement == "rejected"
+    assert evaluate_conformity(12.0, 1.0, limits, Decision()).judgement == "rejected"
 
 
 def test_normalised_error() -> None:
@@ -241,13 +245,15 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
     grown = evaluate_tasks(recording, tasks(type_b=[], growth=growth))
     length = plain.linear.values[0]
     assert grown.linear.values[0] == pytest.approx(length / (1 + 5 * 20e-6), rel=1e-12)
-    assert grown.linear.shares["expansion of the part"][0] == pytest.approx((length * 5e-6) ** 2, rel=1e-3)
-    assert grown.linear.shares["temperature of the part"][0] == pytest.approx((length * 1e-5) ** 2, rel=1e-3)
+    assert grown.linear.variance_by_source["expansion of the part"][0] == pytest.approx((length * 5e-6) ** 2, rel=1e-3)
+    assert grown.linear.variance_by_source["temperature of the part"][0] == pytest.approx(
+        (length * 1e-5) ** 2, rel=1e-3
+    )
 
 
 def test_results_against_themselves_differ_by_nothing() -> None:
-    content = evaluated().result
-    assert {value for _, value in compared(content, content)} == {0.0}
+    content = evaluated().to_result
+    assert {value for _, value in normalised_errors_of_files(content, content)} == {0.0}
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.measurands.features import MIN_POINTS, fit
+from ltsim.measurands.features import MIN_POINTS_BY_FEATURE, fit_feature
 
-KINDS = tuple(MIN_POINTS)
+KINDS = tuple(MIN_POINTS_BY_FEATURE)
 
 
 def surface(kind: str, count: int, *key: int) -> tuple[Floats, Floats]:
@@ -34,18 +34,18 @@ def surface(kind: str, count: int, *key: int) -> tuple[Floats, Floats]:
 def test_published_circle() -> None:
     """Gander, Golub and Strebel, BIT 34 (1994) 558: the geometric fit of their six points."""
     plane = np.array([[1, 7], [2, 6], [5, 8], [7, 7], [9, 5], [3, 7]], dtype=np.float64)
-    found = fit("circle", np.column_stack([plane, np.zeros(6)]))
-    assert np.round(found.centre, 4).tolist() == [4.7398, 2.9835, 0.0]
+    found = fit_feature("circle", np.column_stack([plane, np.zeros(6)]))
+    assert np.round(found.reference_point, 4).tolist() == [4.7398, 2.9835, 0.0]
     assert round(float(found.radius), 4) == 4.7142
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_points_are_fitted_exactly(kind: str) -> None:
     points, direction = surface(kind, 12)
-    found = fit(kind, points)
+    found = fit_feature(kind, points)
     assert np.abs(found.deviations).max() < 1e-11
     if kind != "sphere":
-        assert abs(abs(found.normal @ direction) - 1.0) < 1e-12
+        assert abs(abs(found.direction @ direction) - 1.0) < 1e-12
     if kind in ("circle", "sphere", "cylinder"):
         assert found.radius == pytest.approx(0.7, abs=1e-11)
 
@@ -53,12 +53,15 @@ def test_exact_points_are_fitted_exactly(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_neighbouring_element_fits_better(kind: str) -> None:
     points = surface(kind, 15)[0] + 1e-4 * stream(5, kind).standard_normal((15, 3))
-    found = fit(kind, points)
-    best = distances(kind, points, found.centre, found.normal, found.radius)
+    found = fit_feature(kind, points)
+    best = distances(kind, points, found.reference_point, found.direction, found.radius)
     rng = stream(6, kind)
     for _ in range(60):
         size = 10.0 ** rng.uniform(-6, -3)
-        centre, normal = found.centre + size * rng.standard_normal(3), found.normal + size * rng.standard_normal(3)
+        centre, normal = (
+            found.reference_point + size * rng.standard_normal(3),
+            found.direction + size * rng.standard_normal(3),
+        )
         radius = found.radius + size * rng.standard_normal()
         assert distances(kind, points, centre, normal / np.linalg.norm(normal), radius) >= best
 
@@ -81,20 +84,22 @@ def distances(kind: str, points: Floats, centre: Floats, normal: Floats, radius:
 def test_many_sets_at_once_are_the_single_fits(kind: str) -> None:
     points, _ = surface(kind, 9)
     many = points + 1e-5 * stream(7, kind).standard_normal((5, *points.shape))
-    together = fit(kind, many, near=fit(kind, points))
+    together = fit_feature(kind, many, start=fit_feature(kind, points))
     for i in range(5):
-        alone = fit(kind, many[i])
+        alone = fit_feature(kind, many[i])
         assert np.allclose(np.abs(together.deviations[i]), np.abs(alone.deviations), atol=1e-11)
-        assert np.allclose(together.centre[i], alone.centre, atol=1e-9)
+        assert np.allclose(together.reference_point[i], alone.reference_point, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_that_determine_nothing_are_refused(kind: str) -> None:
     with pytest.raises(ModelError, match="needs at least"):
-        fit(kind, np.zeros((MIN_POINTS[kind] - 1, 3)) + np.arange(MIN_POINTS[kind] - 1)[:, None])
+        fit_feature(
+            kind, np.zeros((MIN_POINTS_BY_FEATURE[kind] - 1, 3)) + np.arange(MIN_POINTS_BY_FEATURE[kind] - 1)[:, None]
+        )
     with pytest.raises(ModelError, match="coincide"):
-        fit(kind, np.ones((6, 3)))
+        fit_feature(kind, np.ones((6, 3)))
     if kind != "line":
         on_a_line = np.outer(np.linspace(-1, 1, 8), [1.0, 2.0, 3.0])
         with pytest.raises(ModelError):
-            fit(kind, on_a_line)
+            fit_feature(kind, on_a_line)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.planning.survey import Survey
+from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Noise, Setup
 
 POSITION = np.array([[3.0, 3.0, 2.0], [4.6, 1.9, 1.9], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
@@ -20,7 +20,7 @@ def targets() -> np.ndarray:
     return np.array(points + GAUGE)
 
 
-def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object) -> Survey:
+def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object) -> PlannedSurvey:
     points = targets()
     names = tuple(f"T{i + 1:02d}" for i in range(len(points)))
     lengths = []
@@ -29,14 +29,14 @@ def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object
             length = float(np.linalg.norm(points[i] - points[j])) * 1e3
             lengths.append(GaugeDistance(**{"from": names[i], "to": names[j]}, length_mm=length, sigma_mm=0.003))
     noise = Noise(distance_mm=0.004, distance_ppm=0.0, azimuth_arcsec=0.6, elevation_arcsec=0.6)
-    made = Survey(
+    made = PlannedSurvey(
         setup=Setup(instrument=Instrument(noise=noise), gauge=Gauge(distance=tuple(lengths))),
         station_names=tuple(f"S{i + 1}" for i in range(stations)),
         target_names=names,
-        position=POSITION[:stations],
-        yaw=YAW[:stations],
-        points=points,
-        visible=np.ones((stations, len(points)), dtype=bool),
+        station_positions=POSITION[:stations],
+        station_yaws=YAW[:stations],
+        target_points=points,
+        is_visible=np.ones((stations, len(points)), dtype=bool),
         faces=faces,
     )
     return made.replace(**changes)

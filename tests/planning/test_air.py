@@ -9,40 +9,46 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.physics.effects.air import across_beam, air_errors, along_beam
-from ltsim.physics.model.construction import misalignment
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.physics.effects.air import (
+    reading_changes_per_sigma,
+    turbulence_sigma_across_beam,
+    turbulence_sigma_along_beam,
+)
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.workshop import site_of
-from ltsim.recordings.air import Air
+from ltsim.planning.workshop import make_search_space
+from ltsim.recordings.air import AirUncertainty
 from tests.planning.fixtures import survey
 from tests.planning.test_hall import HALL, points_csv
 
 
 def test_the_points_move_as_an_adjustment_moves_them() -> None:
-    built, air = misalignment(), Air(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
+    built, air = misalignment_construction(), AirUncertainty(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
-    information = LayoutInformation.of(made, built)
-    added = information.target_covariance - LayoutInformation.of(without, built).target_covariance
-    recording, sightings = made.recording(built), information.adjustment.sightings
-    errors = air_errors(air, sightings)
+    information = LayoutInformation.from_survey(made, built)
+    added = information.target_covariance - LayoutInformation.from_survey(without, built).target_covariance
+    recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
+    errors = reading_changes_per_sigma(air, sightings)
     moved = []
     for cause, station in np.ndindex(2, 3):
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)
         read = recording.with_readings(recording.readings + change)
-        shift = (adjust(read, built, start=made.state(built)).state.points - made.points).ravel()
-        motion = rigid_motion(made.points)
+        shift = (adjust(read, built, start=made.nominal_state(built)).state.target_points - made.target_points).ravel()
+        motion = rigid_motion_design(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))
     expected = np.einsum("cti,ctj->tij", np.array(moved), np.array(moved))
     assert added == pytest.approx(expected, rel=1e-4, abs=1e-4 * expected.max())
 
 
 def test_sizes_along_and_across_the_beam_are_those_of_the_cards() -> None:
-    air = Air()
-    assert 1e6 * along_beam(air, 40.0) == pytest.approx(0.5 * 0.954 * 40.0, rel=0.01)
-    assert 1e6 * across_beam(air, 40.0) == pytest.approx(np.hypot(0.5 * 0.0954 * 1600, np.sqrt(0.1 * 64000)), rel=0.01)
+    air = AirUncertainty()
+    assert 1e6 * turbulence_sigma_along_beam(air, 40.0) == pytest.approx(0.5 * 0.954 * 40.0, rel=0.01)
+    assert 1e6 * turbulence_sigma_across_beam(air, 40.0) == pytest.approx(
+        np.hypot(0.5 * 0.0954 * 1600, np.sqrt(0.1 * 64000)), rel=0.01
+    )
 
 
 def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path: Path) -> None:
@@ -51,10 +57,10 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
     visible = {}
     for text in (HALL, HALL + "[air]\nbeyond_mm = 30000\n"):
         file.write_text(text, encoding="utf-8")
-        visible[text] = site_of(*load_plan(file), stations=3, faces=1).survey
+        visible[text] = make_search_space(*load_plan(file), stations=3, faces=1).survey
     with_air, without = visible.values()
-    assert with_air.air == Air()
+    assert with_air.air == AirUncertainty()
     assert without.air is None
-    assert site_of(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
-    larger = LayoutInformation.of(with_air).target_rms
-    assert larger > 1.05 * LayoutInformation.of(without).target_rms
+    assert make_search_space(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
+    larger = LayoutInformation.from_survey(with_air).target_rms
+    assert larger > 1.05 * LayoutInformation.from_survey(without).target_rms

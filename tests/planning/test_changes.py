@@ -9,15 +9,16 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
+from ltsim.planning.objective import INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
 from ltsim.planning.plan_change import PlanChange
-from ltsim.planning.planner import measure
-from ltsim.planning.reflectors import choose_reflectors, reflector_changes
-from ltsim.planning.survey import Survey
-from ltsim.planning.workshop import fixed_of, site_of, staying
+from ltsim.planning.planner import objective_and_qualities
+from ltsim.planning.reflector_changes import evaluate_reflector_changes
+from ltsim.planning.reflectors import choose_reflectors
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.workshop import is_fixed_target, is_immovable_target, make_search_space
 from tests.planning.test_hall import HALL, points_csv
 from tests.planning.test_search import site
 
@@ -31,63 +32,69 @@ def wall_places() -> tuple[Floats, tuple[str, ...]]:
     return places, tuple(f"P{i}" for i in range(len(places)))
 
 
-def changed(survey: Survey, change: PlanChange) -> Survey:
+def changed(survey: PlannedSurvey, change: PlanChange) -> PlannedSurvey:
     """The survey with a change made by hand."""
     keep = [i for i, name in enumerate(survey.target_names) if name != change.reflector]
-    points = survey.points[keep]
+    points = survey.target_points[keep]
     names = tuple(survey.target_names[i] for i in keep)
     if change.position_mm is not None:
         points, names = np.vstack([points, 1e-3 * np.array(change.position_mm)]), (*names, change.place)
-    return survey.replace(target_names=names, points=points, visible=np.ones((len(survey.position), len(names)), bool))
+    return survey.replace(
+        target_names=names, target_points=points, is_visible=np.ones((len(survey.station_positions), len(names)), bool)
+    )
 
 
-def point_error(survey: Survey, names: list[str]) -> float:
+def point_error(survey: PlannedSurvey, names: list[str]) -> float:
     """Point error [m] of some targets, root mean square, inner constraints over them."""
-    found = LayoutInformation.of(survey).adjustment.in_inner_datum(names)
+    found = LayoutInformation.from_survey(survey).adjustment.in_inner_datum(names)
     trace = np.einsum("tii->t", found.target_covariance)
     return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
 
 
-@pytest.mark.parametrize("weights", [{INSTRUMENT: 1.0}, {TARGETS: 1.0}])
+@pytest.mark.parametrize("weights", [{INSTRUMENT_QUALITY: 1.0}, {TARGETS_QUALITY: 1.0}])
 def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
-    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
-    objective = Objective(weights)
-    found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
-    assert {change.do for change in found.reported} == {"move", "add", "remove"}
-    before = measure(where.survey, objective, misalignment())[0]
-    for change in found.reported[::3]:
+    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    objective = LayoutObjective(weights)
+    found = evaluate_reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
+    assert {change.do for change in found.reported_changes} == {"move", "add", "remove"}
+    before = objective_and_qualities(where.survey, objective, misalignment_construction())[0]
+    for change in found.reported_changes[::3]:
         made = changed(where.survey, change)
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
         assert change.gain_um == pytest.approx(gain, abs=1e-3)
-        if INSTRUMENT in weights:
-            assert change.quality == pytest.approx(measure(made, objective, misalignment())[0] / before, rel=1e-6)
+        if INSTRUMENT_QUALITY in weights:
+            assert change.quality == pytest.approx(
+                objective_and_qualities(made, objective, misalignment_construction())[0] / before, rel=1e-6
+            )
         else:
             assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
-    moves = [change.quality for change in found.reported if change.do == "move"]
+    moves = [change.quality for change in found.reported_changes if change.do == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
 
 def test_what_was_tried_and_did_not_help_is_said() -> None:
     places, names = wall_places()
-    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
-    made = choose_reflectors(where, where.survey, STAYS, Objective(), misalignment())
-    found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
-    assert found.helped["move"] == 0, "the exchange has made every move that helps"
-    assert found.tried["move"] > 300
-    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.summary
-    alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment())
-    assert alone.tried == {"move": 0, "add": 0, "remove": 24}
-    assert "give candidates" in alone.summary
+    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    made = choose_reflectors(where, where.survey, STAYS, LayoutObjective(), misalignment_construction())
+    found = evaluate_reflector_changes(where, made, np.arange(28) < 4, LayoutObjective(), misalignment_construction())
+    assert found.n_useful["move"] == 0, "the exchange has made every move that helps"
+    assert found.n_tried["move"] > 300
+    assert f"{found.n_tried['move']} moves of a reflector (0 help)" in found.summary_sentence
+    alone = evaluate_reflector_changes(site(), site().survey, STAYS, LayoutObjective(), misalignment_construction())
+    assert alone.n_tried == {"move": 0, "add": 0, "remove": 24}
+    assert "give candidates" in alone.summary_sentence
 
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     places, names = wall_places()
-    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
-    made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment())
-    assert LayoutInformation.of(made).target_rms < 0.9 * LayoutInformation.of(where.survey).target_rms
+    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
+    made = choose_reflectors(
+        where, where.survey, STAYS, LayoutObjective({TARGETS_QUALITY: 1.0}), misalignment_construction()
+    )
+    assert LayoutInformation.from_survey(made).target_rms < 0.9 * LayoutInformation.from_survey(where.survey).target_rms
 
 
 def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
@@ -99,23 +106,25 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         )
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         file, scenario = load_plan(tmp_path / "hall.toml")
-        where = site_of(file, scenario, stations=4, faces=1).replace(min_sights=1)
-        survey = where.survey.replace(visible=where.visible(where.survey.position))
-        stays = fixed_of(file, scenario, survey)
-        found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
-        assert staying(file, scenario).all(), "the search leaves the points of a list where they are"
-        assert {what for what, count in found.tried.items() if count} == {
+        where = make_search_space(file, scenario, stations=4, faces=1).replace(min_sights=1)
+        survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
+        stays = is_immovable_target(file, scenario, survey)
+        found = evaluate_reflector_changes(
+            where, survey, stays, LayoutObjective({TARGETS_QUALITY: 1.0}), misalignment_construction()
+        )
+        assert is_fixed_target(file, scenario).all(), "the search leaves the points of a list where they are"
+        assert {what for what, count in found.n_tried.items() if count} == {
             "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
         }[name]  # fmt: skip
-        for change in found.reported:
+        for change in found.reported_changes:
             assert change.reflector == "" or change.reflector.startswith("W")
             assert change.serves in survey.target_names
             if change.position_mm is not None:
                 assert (
-                    np.linalg.norm(survey.points - 1e-3 * np.array(change.position_mm), axis=1).min()
-                    >= where.reflector_spacing
+                    np.linalg.norm(survey.target_points - 1e-3 * np.array(change.position_mm), axis=1).min()
+                    >= where.min_reflector_spacing
                 )
-    places = [change.place for change in found.reported if change.do == "move"]
+    places = [change.place for change in found.reported_changes if change.do == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.tolerances import Tolerances, judged, losses_of
+from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses
 from tests.planning.test_search import site
 
 
 def test_a_survey_without_a_station_or_a_target_is_no_network() -> None:
     survey = site().survey
-    survey = survey.replace(visible=np.ones((len(survey.position), len(survey.points)), dtype=bool))
+    survey = survey.replace(is_visible=np.ones((len(survey.station_positions), len(survey.target_points)), dtype=bool))
     alone = survey
-    while len(alone.position) > 1:
-        alone = alone.without(0)
-    demands = Tolerances(dict.fromkeys(survey.target_names, 1e-4))
-    (lost,) = losses_of(alone, demands, misalignment())
-    assert lost.ratio == np.inf
-    assert "not visible from any station" in lost.remaining
-    assert not judged(alone.without(0), demands, misalignment()).good
-    for nothing in (alone.without(0), alone.only(np.zeros(len(alone.points), dtype=bool))):
+    while len(alone.station_positions) > 1:
+        alone = alone.without_station(0)
+    demands = PointTolerances(dict.fromkeys(survey.target_names, 1e-4))
+    (lost,) = checks_after_required_losses(alone, demands, misalignment_construction())
+    assert lost.max_ratio == np.inf
+    assert "not visible from any station" in lost.open_points_clause
+    assert not check_tolerances(alone.without_station(0), demands, misalignment_construction()).meets_all
+    for nothing in (alone.without_station(0), alone.with_targets_only(np.zeros(len(alone.target_points), dtype=bool))):
         with pytest.raises(NetworkError, match="no station sees a target"):
-            LayoutInformation.of(nothing)
+            LayoutInformation.from_survey(nothing)

@@ -16,14 +16,14 @@ from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
-from ltsim.planning.site import Placement, SearchSpace
-from ltsim.planning.tolerances import ToleranceCheck, Tolerances, radius, verdict
-from ltsim.planning.work_order import TapeDistance, lacking, settings_of
+from ltsim.planning.site import SearchSpace, StationPlacement
+from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
+from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.reports.work_order import work_order_page
-from ltsim.scene.floor import Floor, areas_and_keep_outs, inside, may_stand, outline_error
-from ltsim.scene.meshes import cylinder, joined_obstacles
-from ltsim.scene.visibility import visibility
-from ltsim.simulation.workshop import planned, sight_limits
+from ltsim.scene.floor import Floor, areas_and_keep_outs, is_allowed_position, is_inside_outline, outline_error
+from ltsim.scene.meshes import cylinder_triangles, join_obstacles
+from ltsim.scene.visibility import compute_visibility
+from ltsim.simulation.workshop import make_sight_limits, planned_layout
 from tests.recordings.test_limits import VERB, means
 
 HALL = """format = "ltsim-plan/1"
@@ -76,17 +76,17 @@ def hall(tmp_path: Path) -> Path:
 
 def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) -> None:
     _, scenario = load_plan(hall)
-    layout = planned(scenario)
-    assert len(layout.targets) == 30
-    x, y, z = layout.position.T
+    layout = planned_layout(scenario)
+    assert len(layout.target_names) == 30
+    x, y, z = layout.station_positions.T
     north = y > 5.19
     assert np.all(north | ((y > 0.59) & (y < 2.81)))
     assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
     assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
     assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
-    visible = visibility(
-        layout.position, layout.points, sight_limits(scenario, scenario.instrument), obstacles=None
-    ).visible
+    visible = compute_visibility(
+        layout.station_positions, layout.target_points, make_sight_limits(scenario, scenario.instrument), obstacles=None
+    ).is_visible
     assert visible.any(axis=0).all()
 
 
@@ -98,7 +98,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     }  # fmt: skip
     areas, free = areas_and_keep_outs(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
     at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
-    assert may_stand(areas, free, None, at).tolist() == [True, False, False, False, True]
+    assert is_allowed_position(areas, free, None, at).tolist() == [True, False, False, False, True]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,8 @@ def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
     assert "crosses" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
     assert "line" in outline_error(np.array([[0.0, 0], [1, 1], [2, 2]]))
     assert "corner 2 coincides" in outline_error(np.array([[0.0, 0], [0, 0], [2, 2]]))
-    assert inside(np.array([[0.0, 0], [1, 0], [0, 1]]), np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])).tolist() == [
+    places = np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])
+    assert is_inside_outline(np.array([[0.0, 0], [1, 0], [0, 1]]), places).tolist() == [
         True, True, False,
     ]  # fmt: skip
 
@@ -179,20 +180,20 @@ def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, se
 
 
 def test_a_cylinder_hides_what_its_diameter_covers() -> None:
-    there = joined_obstacles([cylinder(1.0, 2.0)])
+    there = join_obstacles([cylinder_triangles(1.0, 2.0)])
     origins, y = np.full((4, 3), [-3.0, 0.0, 1.0]), np.array([0.0, 0.49, 0.52, 0.0])
     origins[:, 1] = y
     ends = origins + [6.0, 0.0, 0.0]
     origins[3, 2] = ends[3, 2] = 2.1
-    assert there.blocked(origins, ends).tolist() == [True, True, False, False]
-    assert there.encloses(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
+    assert there.is_blocked(origins, ends).tolist() == [True, True, False, False]
+    assert there.is_enclosed(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
 
 
 def test_a_radius_holds_the_stated_share_of_errors() -> None:
     rng = np.random.default_rng(4)
     shapes = [np.diag([1.0, 0, 0]), np.eye(3), np.diag([4.0, 1.0, 0.25]), [[2.0, 0.9, 0], [0.9, 1, 0], [0, 0, 0.1]]]
     covariance = np.array(shapes)
-    limit = radius(covariance, 0.95)
+    limit = error_radius(covariance, 0.95)
     assert limit[:2] == pytest.approx([1.95996, 2.79548], rel=1e-5)
     for one, most in zip(covariance, limit, strict=True):
         errors = rng.multivariate_normal(np.zeros(3), one, 200_000, method="eigh")
@@ -207,12 +208,12 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
         content = lt.plan(hall)
         made = content.network
-        assert made.check is not None
-        assert made.check.good
-        counts[robust] = len(made.chosen.survey.position)
+        assert made.tolerance_check is not None
+        assert made.tolerance_check.meets_all
+        counts[robust] = len(made.layout.survey.station_positions)
         assert content.tolerances_met
         assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
-        stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
+        stations = [loss for loss in content.losses if loss.lost in made.layout.survey.station_names]
         assert len(stations) == counts[robust]
         assert all(loss.met for loss in stations) == (robust == "station")
         assert content.summary.startswith("Reached: all 8 tolerances are met at 95 % confidence; worst point M")
@@ -229,8 +230,8 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     content = lt.plan(hall)
-    assert content.network.check is not None
-    assert not content.network.check.good
+    assert content.network.tolerance_check is not None
+    assert not content.network.tolerance_check.meets_all
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
     assert not content.reached
     assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
@@ -251,56 +252,59 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
     (tmp_path / "points.csv").write_text(points_csv().replace("M00,4710,", "M00,4710.123,"))
     made = lt.plan(hall).network
-    points = dict(zip(made.chosen.survey.target_names, made.chosen.survey.points, strict=True))
-    for setting, place in zip(settings_of(made), made.chosen.survey.position, strict=True):
-        assert len(setting.tapes) == 3
-        for tape in setting.tapes:
-            if tape.to in points:
-                assert tape.metres == pytest.approx(np.hypot(*(points[tape.to] - place)[:2]))
-        assert list(setting.order) == [n for n in points if n in setting.order]
+    points = dict(zip(made.layout.survey.target_names, made.layout.survey.target_points, strict=True))
+    for setting, place in zip(station_instructions(made), made.layout.survey.station_positions, strict=True):
+        assert len(setting.tape_distances) == 3
+        for tape in setting.tape_distances:
+            if tape.end_name in points:
+                assert tape.length == pytest.approx(np.hypot(*(points[tape.end_name] - place)[:2]))
+        assert list(setting.target_order) == [n for n in points if n in setting.target_order]
     assert run(["plan", "hall.toml", "--out", "out", "--jobs", "1"]) == 0
     rows = (tmp_path / "out" / "work-order.csv").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 1 + made.chosen.survey.pointings
+    assert len(rows) == 1 + made.layout.survey.n_pointings
     nominals = (tmp_path / "out" / "nominals.csv").read_text(encoding="utf-8").splitlines()
     assert nominals[:2] == ["name,x_mm,y_mm,z_mm", "M00,4710.123,3210,500"]
     page = (tmp_path / "out" / "work-order.html").read_text(encoding="utf-8")
     assert "Places of the tripods" in page
     assert "Checks" in page
     again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
-    assert len(again) == made.chosen.survey.pointings
+    assert len(again) == made.layout.survey.n_pointings
 
 
 def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) -> None:
     place = np.array([3.0, 2.0, 1.5])
 
     def marks(*at: tuple[float, float]) -> list[TapeDistance]:
-        return [TapeDistance.of(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
+        return [TapeDistance.from_station(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
-    assert lacking(in_line, place) == "The tapes meet a second time, at x 3.00, y -2.00 m. Do not use this point."
-    flat = lacking(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
+    assert (
+        tape_deficiency_sentence(in_line, place)
+        == "The tapes meet a second time, at x 3.00, y -2.00 m. Do not use this point."
+    )
+    flat = tape_deficiency_sentence(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
     assert re.fullmatch(
         r"The tapes meet at a flat angle, and the place is uncertain by \d+ cm: mark it in another way\.", flat
     )
-    assert "uncertain along a line" in lacking(marks((0.0, 2.0), (6.0, 2.0), (7.0, 2.0)), place)
-    assert lacking(in_line[:2], place).startswith("Fewer than three points are within reach of a tape")
+    assert "uncertain along a line" in tape_deficiency_sentence(marks((0.0, 2.0), (6.0, 2.0), (7.0, 2.0)), place)
+    assert tape_deficiency_sentence(in_line[:2], place).startswith("Fewer than three points are within reach of a tape")
     fourth, far = marks((0.5, 4.0), (19.0, 14.0))
     for more in ([fourth], [far], [fourth, far]):  # one off the line decides, the nearer one where there is a choice
-        found = work_order._tapes([*in_line, *more], place)
+        found = work_order._best_tape_distances([*in_line, *more], place)
         assert any(tape is more[0] for tape in found)
-        assert lacking(found, place) == ""
-    assert len(work_order._tapes(in_line[:2], place)) == 2
+        assert tape_deficiency_sentence(found, place) == ""
+    assert len(work_order._best_tape_distances(in_line[:2], place)) == 2
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
-    monkeypatch.setattr(work_order, "_marks", lambda plan, place, visible: in_line[:2])
+    monkeypatch.setattr(work_order, "_tape_marks", lambda plan, place, visible: in_line[:2])
     assert "S1: Fewer than three points are within reach of a tape" in work_order_page(lt.plan(hall))
 
 
 def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
     tolerance = dict.fromkeys("ABC", 1e-4)
     kept, lost = ToleranceCheck("", tolerance, {}, np.inf, "C", ("C",)), ToleranceCheck("S1", tolerance, {}, np.inf, "")
-    judgement = verdict(Tolerances(tolerance), kept, [lost])
-    assert not judgement.reached and judgement.words.startswith("Not reached: 0 of 3 tolerances are met")
-    assert kept.unseen == ("C",) and kept.remaining.startswith("C is not visible")
+    judgement = plan_verdict(PointTolerances(tolerance), kept, [lost])
+    assert not judgement.is_goal_reached and judgement.sentences.startswith("Not reached: 0 of 3 tolerances are met")
+    assert kept.unseen_points == ("C",) and kept.open_points_clause.startswith("C is not visible")
 
 
 def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -> None:
@@ -309,14 +313,14 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
         StationCountResult(4, None, False, "M2"),
         StationCountResult(5, 1.2, True),
     ]
-    assert reasons._came_of(tried, 2) == [
+    assert reasons._count_result_clauses(tried, 2) == [
         "3 to 4 stations: no layout has every point in sight of 2 stations (the closest layout lacks sights of M2)",
         "5 stations: the best layout has an error of 1.2 times its tolerance",
     ]
     site = SimpleNamespace(min_sights=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
     visible = np.array([[True, True, True], [True, False, False], [True, False, True]])
-    placement = Placement(np.zeros((3, 3)), visible, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
-    assert [SearchSpace.unseen_targets(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == [
+    placement = StationPlacement(np.zeros((3, 3)), visible, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
+    assert [SearchSpace.unseen_targets_text(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == [
         "M2",
         "",
         "M1, M2, M3",

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.criteria import evaluate
+from ltsim.adjustment.evaluation.criteria import evaluate_criteria
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
-from ltsim.planning.information import LayoutInformation, Predictor, expected_length
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
+from ltsim.planning.information import CriteriaPredictor, LayoutInformation, expected_length
 from tests.planning.fixtures import survey
 
 TRIALS = 60
@@ -28,20 +28,22 @@ def test_expected_length_of_a_normal_vector() -> None:
 @pytest.mark.long
 def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     """Noise, known lengths, instrument and an effect that the calibration does not know are drawn anew each time."""
-    made, construction = survey((1,)), misalignment()
+    made, construction = survey((1,)), misalignment_construction()
     effect = RangeCyclic(wavelength=0.9)
-    information = LayoutInformation.of(made)
-    expected = Predictor.of(information, [effect]).expected({"angle errors": 0.5, "range-cyclic": 0.5})
+    information = LayoutInformation.from_survey(made)
+    expected = CriteriaPredictor.from_information(information, [effect]).expected_errors(
+        {"angle errors": 0.5, "range-cyclic": 0.5}
+    )
     scale = np.array([0.5 if p.prior_kind == "angle" else 1.0 for p in construction.parameters])
-    clean = made.recording(construction)
+    clean = made.noise_free_recording(construction)
     size = 0.5 * np.array([p.prior_sigma for p in effect.parameters])
     found = []
     for trial in range(TRIALS):
         rng = stream(11, "trial", trial)
         values = rng.normal(size=16) * information.prior_sigma * scale
-        state = State(made.position, made.rotation, made.points, values[None])
+        state = NetworkState(made.station_positions, made.station_rotations, made.target_points, values[None])
         readings = MeasurementModel(clean, construction).predict(state)
-        readings = readings + effect.shift(information.adjustment.sightings, rng.normal(size=len(size)) * size)
+        readings = readings + effect.reading_change(information.adjustment.sightings, rng.normal(size=len(size)) * size)
         readings = readings + rng.normal(size=readings.shape) * clean.sigma()
         gauge = clean.gauge
         lengths = tuple(
@@ -49,7 +51,9 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         )
         setup = clean.setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": lengths})})
         recording = clean.with_readings(readings).replace(setup=setup)
-        criteria = evaluate(recording, construction, adjust(recording, construction).state.instrument[0])
+        criteria = evaluate_criteria(
+            recording, construction, adjust(recording, construction).state.instrument_parameters[0]
+        )
         after = criteria.distance.after, criteria.coordinate.after
         assert after[0] is not None
         assert after[1] is not None
@@ -68,10 +72,10 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
 
 
 def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
-    predictor = Predictor.of(LayoutInformation.of(survey((1,), 2)))
-    many = predictor.expected({"range noise": np.array([0.0, 1.0, 2.0])})
+    predictor = CriteriaPredictor.from_information(LayoutInformation.from_survey(survey((1,), 2)))
+    many = predictor.expected_errors({"range noise": np.array([0.0, 1.0, 2.0])})
     assert np.all(np.diff(many.distance_after) > 0)
-    one = predictor.expected({"range noise": 2.0})
+    one = predictor.expected_errors({"range noise": 2.0})
     assert many.coordinate_after[2] == pytest.approx(one.coordinate_after[0], rel=1e-12)
     with pytest.raises(ModelError, match="range noise"):
-        predictor.expected({"range nose": 1.0})
+        predictor.expected_errors({"range nose": 1.0})

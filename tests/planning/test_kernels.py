@@ -26,9 +26,12 @@ from tests.planning.test_information import masks
 made, found = survey(), {}
 reducer = LayoutScorer(made)
 for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
-    out = reducer.reduce(reducer.blocks(made.position, made.yaw, visible=visible), np.arange(5)[None], targets=True)
+    out = reducer.evaluate_layouts(
+        reducer.normal_blocks(made.station_positions, made.station_yaws, visible=visible), np.arange(5)[None],
+        with_target_errors=True,
+    )
     try:
-        LayoutInformation.of(made.replace(visible=visible))
+        LayoutInformation.from_survey(made.replace(is_visible=visible))
         slow = "determined"
     except NetworkError:
         slow = "lost"

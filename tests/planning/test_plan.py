@@ -17,17 +17,17 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.planning import starts
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import planned_scenario
+from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan, plan_names, plan_text
-from ltsim.planning.making import Follower, make_plan
+from ltsim.planning.making import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import fewest
+from ltsim.planning.reasons import cheapest_equal_option
 from ltsim.planning.result import Plan, write_plan
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.spec import PlanFile, Search
-from ltsim.planning.workshop import survey_of
-from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
-from ltsim.simulation.workshop import visibility_of
+from ltsim.planning.spec import PlanFile, SearchSettings
+from ltsim.planning.workshop import planned_survey
+from ltsim.simulation.scenario import change_scenario, load_scenario, scenario_to_toml
+from ltsim.simulation.workshop import make_visibility
 
 HEAD = 'format = "ltsim-plan/1"\n'
 
@@ -51,16 +51,16 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> PlannedNetwork:
 
 @pytest.fixture(scope="module")
 def result(plan: PlannedNetwork) -> Plan:
-    return Plan.of(plan)
+    return Plan.from_network(plan)
 
 
 def test_a_plan_is_drawn_with_its_tripods_and_points(result: Plan) -> None:
-    survey, figure = result.network.chosen.survey, result.plot()
+    survey, figure = result.network.layout.survey, result.plot()
     assert isinstance(figure, Figure)
     floor = figure.axes[0]
     assert (floor.get_xlabel(), floor.get_ylabel()) == ("x [m]", "y [m]")
     marks = np.concatenate([np.asarray(points.get_offsets()) for points in floor.collections])
-    for place in (*survey.position[:, :2], *survey.points[:, :2]):
+    for place in (*survey.station_positions[:, :2], *survey.target_points[:, :2]):
         assert np.abs(marks - place).max(axis=1).min() < 1e-4
     assert {text.get_text() for text in floor.texts} >= set(survey.station_names)
 
@@ -70,9 +70,9 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
     from ltsim.simulation.simulator import simulate
 
     scenario = load_scenario("paper-workshop")
-    made = survey_of(scenario)
+    made = planned_survey(scenario)
     recording, _ = simulate(scenario, 0)
-    ours = made.recording(LayoutInformation.of(made).construction)
+    ours = made.noise_free_recording(LayoutInformation.from_survey(made).construction)
     assert np.array_equal(ours.station, recording.station)
     assert np.array_equal(ours.target, recording.target)
     assert ours.time == pytest.approx(recording.time)
@@ -82,11 +82,11 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
 def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: PlannedNetwork, result: Plan) -> None:
     assert plan.reference is not None
     content = result
-    factor = plan.reference.qualities["instrument"] / plan.chosen.qualities["instrument"]
+    factor = plan.reference.qualities["instrument"] / plan.layout.qualities["instrument"]
     assert factor > 1.05
     assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
     assert len(content.stations) == 4
-    assert content.quality["instrument"] == pytest.approx(plan.chosen.value)
+    assert content.quality["instrument"] == pytest.approx(plan.layout.objective_value)
 
 
 def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
@@ -95,12 +95,12 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     scenario = 'scenario = "ranges.toml"\n'
     goal = "[goal]\ninstrument = 0\ntargets = 1\n[stations]\ncount = 4\ntradeoff_counts = []\n"
     file, whole = load_plan(small(scenario + goal, tmp_path))
-    ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
+    ranges = change_scenario(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
     assert made.reference is not None
-    assert made.chosen.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
-    assert made.chosen.expected is None
-    content = Plan.of(made)
+    assert made.layout.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
+    assert made.layout.expected_criteria is None
+    content = Plan.from_network(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
     with pytest.raises(SetupError, match="from 3 stations, not from 2"):
         make_plan(
@@ -110,17 +110,17 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
 
 
 def test_the_curve_knows_cost_and_quality(plan: PlannedNetwork) -> None:
-    hours = [option.hours for option in plan.options]
+    hours = [option.hours for option in plan.tradeoff_points]
     assert hours == sorted(hours)
-    efficient = [option.value for option in plan.options if option.efficient]
+    efficient = [option.objective_value for option in plan.tradeoff_points if option.is_efficient]
     assert efficient == sorted(efficient, reverse=True)
-    ways = {(len(o.survey.position), o.survey.repeats) for o in plan.options}
+    ways = {(len(o.survey.station_positions), o.survey.repeats) for o in plan.tradeoff_points}
     assert ways == {(n, r) for n in (3, 4) for r in (1, 2)}
-    one = next(o for o in plan.options if len(o.survey.position) == 3 and o.survey.repeats == 1)
-    assert one.survey.seconds == 3 * (20 * 60 + 28 * 15)
-    few = fewest(plan)
+    one = next(o for o in plan.tradeoff_points if len(o.survey.station_positions) == 3 and o.survey.repeats == 1)
+    assert one.survey.duration == 3 * (20 * 60 + 28 * 15)
+    few = cheapest_equal_option(plan)
     assert few is not None
-    assert len(few.survey.position) <= 4
+    assert len(few.survey.station_positions) <= 4
 
 
 def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_path: Path) -> None:
@@ -129,16 +129,16 @@ def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_
     assert {**saved, "files": {}} == json.loads(json.dumps(content.content())) | {"files": {}}
     rows = table(tmp_path / "out" / "stations.csv")
     places = np.array([[float(row[k]) for k in ("x_mm", "y_mm", "z_mm")] for row in rows])
-    assert places == pytest.approx(plan.chosen.survey.position * 1e3, abs=0.06)
+    assert places == pytest.approx(plan.layout.survey.station_positions * 1e3, abs=0.06)
     assert all(row["sees"] == "yes" for row in table(tmp_path / "out" / "visibility.csv"))
     scenario = load_scenario(tmp_path / "out" / "scenario.toml")
-    assert visibility_of(scenario).visible.all()
-    again = LayoutInformation.of(survey_of(scenario))
-    assert again.instrument_sigma == pytest.approx(plan.chosen.information.instrument_sigma, rel=2e-3)
+    assert make_visibility(scenario).is_visible.all()
+    again = LayoutInformation.from_survey(planned_survey(scenario))
+    assert again.instrument_sigmas == pytest.approx(plan.layout.information.instrument_sigmas, rel=2e-3)
 
 
 def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: PlannedNetwork) -> None:
-    made = planned_scenario(plan)
+    made = scenario_of_plan(plan)
     assert made.gauge == plan.scenario.gauge
     assert made.instrument == plan.scenario.instrument
     assert made.target_names == plan.scenario.target_names
@@ -147,7 +147,7 @@ def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: PlannedNetw
 @pytest.mark.long
 def test_the_number_of_jobs_changes_nothing(tmp_path: Path) -> None:
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    assert Plan.of(make_plan(file, scenario, jobs=2)) == Plan.of(make_plan(file, scenario))
+    assert Plan.from_network(make_plan(file, scenario, jobs=2)) == Plan.from_network(make_plan(file, scenario))
 
 
 def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> None:
@@ -157,11 +157,11 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     text = 'scenario = "with.toml"\n[stations]\ncount = 3\n'
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.reference is not None
-    assert not made.reference.survey.visible.all()
+    assert not made.reference.survey.is_visible.all()
     broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
-    assert any(re.search(broken, sentence) for sentence in Plan.of(made).reasons)
-    assert made.chosen.survey.visible.all()
-    x, y, _ = made.chosen.survey.position.T
+    assert any(re.search(broken, sentence) for sentence in Plan.from_network(made).reasons)
+    assert made.layout.survey.is_visible.all()
+    x, y, _ = made.layout.survey.station_positions.T
     assert not ((np.abs(x - 3.6) < 0.3) & (np.abs(y - 2.6) < 0.3)).any()
 
 
@@ -178,7 +178,7 @@ def _with_cabinet(scenario) -> str:  # type: ignore[no-untyped-def]
 def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> None:
     text = "[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 1.8\n"
     made = make_plan(*load_plan(small(text, tmp_path)))
-    assert made.chosen.survey.repeats == 2
+    assert made.layout.survey.repeats == 2
     poor = text.replace("1.8", "0.5")
     with pytest.raises(SetupError, match=r"the cheapest way of working takes 1\.4 h"):
         make_plan(*load_plan(small(poor, tmp_path)))
@@ -189,17 +189,17 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     exchanged = []
 
     def stop(_searcher: LayoutSearcher, layout: Any, value: float, _rng: object) -> None:
-        exchanged.append((layout.position, value))
+        exchanged.append((layout.setup_positions, value))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(LayoutSearcher, "refine", stop)
+    monkeypatch.setattr(LayoutSearcher, "refine_off_grid", stop)
     said: list[str] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, follower=Follower(say=said.append))
+    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_sentence=said.append))
     ((position, value),) = exchanged
-    assert made.chosen.survey.position == pytest.approx(position)
-    assert made.chosen.value == pytest.approx(value, rel=1e-6)
-    assert Plan.of(made).reasons[-1].startswith("The search was stopped")
+    assert made.layout.survey.station_positions == pytest.approx(position)
+    assert made.layout.objective_value == pytest.approx(value, rel=1e-6)
+    assert Plan.from_network(made).reasons[-1].startswith("The search was stopped")
     assert said and said[0].startswith("best layout so far: 3 stations")
 
 
@@ -208,10 +208,10 @@ def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(starts, "REPORT_INTERVAL", 0.0)
     kept: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, follower=Follower(keep=kept.append))
+    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_layout=kept.append))
     assert kept
-    assert kept[-1].target_names == made.chosen.survey.target_names
-    assert made.site.allowed(kept[-1].position).all()
+    assert kept[-1].target_names == made.layout.survey.target_names
+    assert made.search_space.is_allowed(kept[-1].station_positions).all()
 
 
 def test_built_in_plans_load_and_print() -> None:
@@ -256,7 +256,7 @@ def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
         load_plan(tmp_path / "nowhere.toml")
     file = PlanFile.model_validate({"floor": {"margin_mm": 3000}})
     with pytest.raises(SetupError, match="leaves no floor"):
-        make_plan(file.model_copy(update={"search": Search(starts=1)}), load_scenario("paper-workshop"))
+        make_plan(file.model_copy(update={"search": SearchSettings(starts=1)}), load_scenario("paper-workshop"))
 
 
 def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -280,7 +280,7 @@ def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
 
 def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
     """Python object, JSON, CSV files, terminal and page are one model with its tables."""
-    from ltsim.planning.tables import TABLES
+    from ltsim.planning.tables import PLAN_TABLES
     from ltsim.reports.sections import section_of
 
     folder = tmp_path / "out"
@@ -289,7 +289,7 @@ def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
     assert type(content) is type(result)
     assert content.model_dump(exclude={"files"}) == result.model_dump(exclude={"files"})
     names = set(result._tables())
-    assert {table.name for table in TABLES} == names | {"visibility", "work-order"}
+    assert {table.name for table in PLAN_TABLES} == names | {"visibility", "work-order"}
     for name in names:
         table = result.table(name)
         assert content.table(name) == table and (folder / table.file).read_text() == table.csv()
@@ -311,7 +311,7 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     table = made.table("tolerances")
     assert table.column("point") == ["A", "B", "C"] and table.column("met") == [True, True, True]
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
-    check = made.network.check
+    check = made.network.tolerance_check
     assert check is not None
-    assert table.column("within_mm") == pytest.approx([1e3 * check.radius[name] for name in "ABC"])
+    assert table.column("within_mm") == pytest.approx([1e3 * check.error_by_point[name] for name in "ABC"])
     assert {"S1", "S2"} <= set(made.table("losses").column("lost"))

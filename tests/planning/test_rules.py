@@ -12,11 +12,18 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
-from ltsim.planning.planner import judge
-from ltsim.planning.result import Plan, opened
+from ltsim.planning.planner import evaluate_plan
+from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.tolerances import ToleranceCheck, Tolerances, is_met, percent, text_near_limit, verdict
-from ltsim.planning.workshop import as_it_stands
+from ltsim.planning.tolerances import (
+    PointTolerances,
+    ToleranceCheck,
+    is_met,
+    percent_text,
+    plan_verdict,
+    text_near_limit,
+)
+from ltsim.planning.workshop import unsearched_plan
 
 PLAN = """format = "ltsim-plan/1"
 points = "points.csv"
@@ -79,13 +86,13 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
     moves = [f"--move={name}={','.join(map(str, place))}" for name, place in (("S1", first), ("S2", second))]
     assert run(["plan", str(hall), *moves]) == 2
     assert f"--move: {rule}" in capsys.readouterr().err
-    file, site = as_it_stands(*opened(hall))
-    position = site.survey.position.copy()
+    file, site = unsearched_plan(*load_plan_and_scenario(hall))
+    position = site.survey.station_positions.copy()
     for s, place in enumerate((first, second)):
         position[s, : len(place)] = np.array(place) / 1000
-    survey = site.survey.replace(position=position, visible=site.visible(position))
-    assert rule in "; ".join(broken.words for broken in site.broken_rules(survey))
-    assert LayoutSearcher(site, step=1.5).evaluate(position, survey.yaw).value == np.inf
+    survey = site.survey.replace(station_positions=position, is_visible=site.is_visible(position))
+    assert rule in "; ".join(broken.sentence for broken in site.broken_rules(survey))
+    assert LayoutSearcher(site, grid_step=1.5).evaluate_layout(position, survey.station_yaws).objective_value == np.inf
     assert file.stations.min_stations_per_target == 1
 
 
@@ -97,33 +104,33 @@ def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
     hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 1"))
     with pytest.raises(SetupError, match=r"^move: S1 and S2 are 0.00 m apart, closer than 0.001 m"):
         lt.plan(hall, move={"S1": (2500, 2000), "S2": (2500, 2000)})
-    file, site = as_it_stands(*opened(hall))
-    together = np.tile(site.survey.position[:1], (2, 1))
-    survey = site.survey.replace(position=together, visible=site.visible(together))
-    network = judge(file, opened(hall)[1], survey)
-    assert network.verdict is not None and not network.verdict.reached
-    assert not Plan.of(network).reached and "S1 and S2" in Plan.of(network).summary
+    file, site = unsearched_plan(*load_plan_and_scenario(hall))
+    together = np.tile(site.survey.station_positions[:1], (2, 1))
+    survey = site.survey.replace(station_positions=together, is_visible=site.is_visible(together))
+    network = evaluate_plan(file, load_plan_and_scenario(hall)[1], survey)
+    assert network.verdict is not None and not network.verdict.is_goal_reached
+    assert not Plan.from_network(network).reached and "S1 and S2" in Plan.from_network(network).summary
 
 
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
-    _, site = as_it_stands(*opened(hall))
-    rng, searcher = np.random.default_rng(3), LayoutSearcher(site, step=1.5)
+    _, site = unsearched_plan(*load_plan_and_scenario(hall))
+    rng, searcher = np.random.default_rng(3), LayoutSearcher(site, grid_step=1.5)
     visible = set()
     for _ in range(40):
         position = rng.uniform((0.4, 0.4, 1.3), (5.6, 3.6, 1.9), (2, 3))
-        named = site.broken_rules(site.survey.replace(position=position, visible=site.visible(position)))
-        taken = np.isfinite(searcher.evaluate(position, np.zeros(2)).value)
+        named = site.broken_rules(site.survey.replace(station_positions=position, is_visible=site.is_visible(position)))
+        taken = np.isfinite(searcher.evaluate_layout(position, np.zeros(2)).objective_value)
         assert taken <= (not named)
         visible.add(bool(named))
-        joined = site.feasible(position[None], site.visible(position)[None])[0]
-        assert (site.allowed(position).all() and joined) == (not named)
+        joined = site.is_feasible(position[None], site.is_visible(position)[None])[0]
+        assert (site.is_allowed(position).all() and joined) == (not named)
     assert visible == {True, False}
 
 
 def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> None:
     hall.write_text(PLAN.replace("min_stations_per_target = 1", "min_stations_per_target = 2"))
     content = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
-    assert content.network.chosen.survey.yaw[1] == pytest.approx(np.radians(30))
+    assert content.network.layout.survey.station_yaws[1] == pytest.approx(np.radians(30))
     assert any("fewer than 2 stations (stations.min_stations_per_target)" in rule for rule in content.broken_rules)
     assert content.reached is False and content.tolerances_met
     assert content.summary.startswith("Not reached: the layout breaks a rule (")
@@ -139,30 +146,34 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
     hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    alone, *others = lt.without_station(hall, "S2")
-    assert alone.words == "without S2" and not alone.move
-    assert others and all(one.move.startswith("S2=") and one.move.count(",") == 3 for one in others)
-    assert [one.good for one in others] == sorted([one.good for one in others], reverse=True)
+    alone, *others = lt.station_alternatives(hall, "S2")
+    assert alone.position_text == "without S2" and not alone.move_option
+    assert others and all(one.move_option.startswith("S2=") and one.move_option.count(",") == 3 for one in others)
+    assert [one.meets_goal for one in others] == sorted([one.meets_goal for one in others], reverse=True)
     assert run(["plan", str(hall), "--without", "S2"]) == 0
     command = capsys.readouterr().out.splitlines()[-1].partition(": ltsim ")[2].split()
     assert command[:3] == ["plan", str(hall), "--move"]
     assert run([*command, "--quiet"]) == 0
     content = json.loads((tmp_path / "hall-moved" / "plan.json").read_text())
     assert [*content["stations"][1]["position_mm"], content["stations"][1]["yaw_deg"]] == pytest.approx(
-        [float(v) for v in others[0].move.removeprefix("S2=").split(",")], abs=0.1
+        [float(v) for v in others[0].move_option.removeprefix("S2=").split(",")], abs=0.1
     )
     assert content["summary"].rstrip(".") == others[0].verdict
 
 
 def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> None:
-    demands = Tolerances({"A": 1e-4})
-    missed = ToleranceCheck("", demands.tolerance, {"A": 1.004e-4}, 1.004, "A")
-    said = verdict(demands, missed, [])
-    assert not said.reached and not missed.good and missed.over == ["A"]
-    assert said.words.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
-    far = ToleranceCheck("", demands.tolerance, {"A": 1.236e-4}, 1.236, "A")
-    assert "(24 % too large)" in far.worst_point
-    assert percent(1.004) == "100.4 %" and percent(0.8543) == "85.4 %" and percent(1.0 + 1e-9).startswith("100.0000001")
+    demands = PointTolerances({"A": 1e-4})
+    missed = ToleranceCheck("", demands.tolerance_by_point, {"A": 1.004e-4}, 1.004, "A")
+    said = plan_verdict(demands, missed, [])
+    assert not said.is_goal_reached and not missed.meets_all and missed.exceeding_points == ["A"]
+    assert said.sentences.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
+    far = ToleranceCheck("", demands.tolerance_by_point, {"A": 1.236e-4}, 1.236, "A")
+    assert "(24 % too large)" in far.worst_point_text
+    assert (
+        percent_text(1.004) == "100.4 %"
+        and percent_text(0.8543) == "85.4 %"
+        and percent_text(1.0 + 1e-9).startswith("100.0000001")
+    )
     assert (
         text_near_limit(0.1004, 0.1) == "0.1004"
         and text_near_limit(0.0999, 0.1) == "0.0999"
@@ -177,11 +188,11 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move).network
-    worst = made.check.radius[made.check.worst]  # type: ignore[union-attr]
+    worst = made.tolerance_check.error_by_point[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerances(content)
     assert isinstance(grid, TableBlock) and len(grid.marked) == 1 and content.reached is False
     (row,) = (grid.rows[i] for i in grid.marked)
-    assert row[0] == made.check.worst and row[3] == "100.04 %"  # type: ignore[union-attr]
+    assert row[0] == made.tolerance_check.worst_point_name and row[3] == "100.04 %"  # type: ignore[union-attr]
     assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]

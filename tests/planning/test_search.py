@@ -12,17 +12,24 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.station_weather import StationWeather
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
+from ltsim.planning.objective import (
+    DIAGNOSIS_QUALITY,
+    INSTRUMENT_QUALITY,
+    TARGETS_QUALITY,
+    LayoutObjective,
+    a_criterion,
+    d_criterion,
+)
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.starts import PlanningProblem, SearchTask
-from ltsim.scene.floor import Area, inside
-from ltsim.scene.meshes import box, joined_obstacles, transformed
-from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
+from ltsim.scene.floor import StandingArea, is_inside_outline
+from ltsim.scene.meshes import box_triangles, join_obstacles, place_triangles
+from ltsim.scene.visibility import SightLimits, aim_nest_normals, compute_visibility
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -31,53 +38,59 @@ FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 def site(stations: int = 3, **changes: object) -> SearchSpace:
     made = survey((1,), stations)
     whole = SearchSpace(
-        made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), aimed=np.zeros(28, dtype=bool), min_sights=stations
+        made,
+        (StandingArea(FLOOR, (1.5, 2.1)),),
+        SightLimits(),
+        is_aimed_nest=np.zeros(28, dtype=bool),
+        min_sights=stations,
     )
     return whole.replace(**changes)
 
 
-def searcher(where: SearchSpace, objective: Objective | None = None) -> LayoutSearcher:
-    return LayoutSearcher(where, objective or Objective(), step=1.25, yaws=4, heights=1)
+def searcher(where: SearchSpace, objective: LayoutObjective | None = None) -> LayoutSearcher:
+    return LayoutSearcher(where, objective or LayoutObjective(), grid_step=1.25, n_yaws=4, n_heights=1)
 
 
 def information(where: SearchSpace, position: Floats, yaw: Floats) -> LayoutInformation:
-    visible = where.visible(position)
-    return LayoutInformation.of(where.survey.replace(position=position, yaw=yaw, visible=visible))
+    visible = where.is_visible(position)
+    return LayoutInformation.from_survey(
+        where.survey.replace(station_positions=position, station_yaws=yaw, is_visible=visible)
+    )
 
 
 @pytest.fixture(scope="module")
 def found():  # type: ignore[no-untyped-def]
-    return searcher(site()).from_start(4, 1)
+    return searcher(site()).search_from(4, 1)
 
 
 def test_the_value_is_that_of_the_layout_it_returns(found) -> None:  # type: ignore[no-untyped-def]
-    covariance = information(site(), found.position, found.yaw).scaled_covariance
-    assert found.value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
+    covariance = information(site(), found.positions, found.yaws).scaled_covariance
+    assert found.objective_value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
 
 
 def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) -> None:  # type: ignore[no-untyped-def]
     where = site()
-    own = searcher(where).evaluate(where.survey.position, where.survey.yaw)
-    assert found.value < 0.8 * own.value
-    assert where.allowed(found.position).all()
-    assert where.visible(found.position).all()
-    gap = np.linalg.norm(found.position[:, None, :2] - found.position[None, :, :2], axis=2)[np.triu_indices(3, 1)]
-    assert gap.min() >= where.spacing - 1e-9
+    own = searcher(where).evaluate_layout(where.survey.station_positions, where.survey.station_yaws)
+    assert found.objective_value < 0.8 * own.objective_value
+    assert where.is_allowed(found.positions).all()
+    assert where.is_visible(found.positions).all()
+    gap = np.linalg.norm(found.positions[:, None, :2] - found.positions[None, :, :2], axis=2)[np.triu_indices(3, 1)]
+    assert gap.min() >= where.min_station_spacing - 1e-9
 
 
 def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: ignore[no-untyped-def]
     work = searcher(site())
-    here = work.layout(found.position, found.yaw)
+    here = work.layout_blocks(found.positions, found.yaws)
     for slot in range(3):
-        assert work.best_replacement(here, slot, work.table(slot))[1] > found.value * (1 - 1e-3)
+        assert work.best_replacement(here, slot, work.grid_setups(slot))[1] > found.objective_value * (1 - 1e-3)
 
 
 def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[no-untyped-def]
-    again = searcher(site()).from_start(4, 1)
-    assert np.array_equal(again.position, found.position)
-    assert np.array_equal(again.yaw, found.yaw)
-    other = searcher(site()).from_start(5, 1)
-    assert not np.array_equal(other.position, found.position)
+    again = searcher(site()).search_from(4, 1)
+    assert np.array_equal(again.positions, found.positions)
+    assert np.array_equal(again.yaws, found.yaws)
+    other = searcher(site()).search_from(5, 1)
+    assert not np.array_equal(other.positions, found.positions)
 
 
 LONG_HALL = """format = "ltsim-plan/1"
@@ -117,89 +130,101 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     (tmp_path / "hall.toml").write_text(LONG_HALL)
     file, scenario = load_plan(tmp_path / "hall.toml")
     problem = PlanningProblem(file, scenario)
-    work = problem.searcher(problem.site(SearchTask(4, 1, 0)))
+    work = problem.make_searcher(problem.search_space(SearchTask(4, 1, 0)))
     drawn = [work.random_layout(stream(0, "plan", 4, k)) for k in range(4)]
-    apart = [layout for layout in drawn if not np.isfinite(work._value(layout))]
+    apart = [layout for layout in drawn if not np.isfinite(work._objective_of(layout))]
     assert len(apart) > 1
-    bound = [work._bound(layout) for layout in apart]
-    assert sum(np.isfinite(work._value(layout)) for layout in bound) > 1
-    assert all(work.site.feasible(layout.position[None], layout.visible[None])[0] for layout in bound)
+    bound = [work._connect_stations(layout) for layout in apart]
+    assert sum(np.isfinite(work._objective_of(layout)) for layout in bound) > 1
     assert all(
-        work.site.connectivity(b.visible[None]) > work.site.connectivity(a.visible[None])
+        work.search_space.is_feasible(layout.setup_positions[None], layout.is_visible[None])[0] for layout in bound
+    )
+    assert all(
+        work.search_space.connectivity(b.is_visible[None]) > work.search_space.connectivity(a.is_visible[None])
         for a, b in zip(apart, bound, strict=True)
     )
 
 
 def test_a_fixed_station_stays() -> None:
-    where = site(fixed=(0,))
-    made = searcher(where).from_start(1, 2)
-    assert np.array_equal(made.position[0], where.survey.position[0])
-    assert made.yaw[0] == pytest.approx(where.survey.yaw[0])
+    where = site(fixed_stations=(0,))
+    made = searcher(where).search_from(1, 2)
+    assert np.array_equal(made.positions[0], where.survey.station_positions[0])
+    assert made.yaws[0] == pytest.approx(where.survey.station_yaws[0])
 
 
 def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
-    pillar = transformed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.position[0, :2], 0.0]), 0.0)
-    where = site(obstacles=joined_obstacles([pillar]))
-    work = LayoutSearcher(where, step=0.8, yaws=4, heights=1)
-    assert work.evaluate(found.position, found.yaw).value == np.inf
-    made = work.from_start(4, 1)
-    assert not joined_obstacles([pillar]).encloses(made.position).any()
-    assert visibility(
-        made.position, where.survey.points, where.limits, obstacles=joined_obstacles([pillar])
-    ).visible.all()
-    free = LayoutSearcher(site(), step=0.8, yaws=4, heights=1).from_start(4, 1)
-    assert made.value > 0.97 * min(free.value, found.value)
+    pillar = place_triangles(box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0)
+    where = site(obstacles=join_obstacles([pillar]))
+    work = LayoutSearcher(where, grid_step=0.8, n_yaws=4, n_heights=1)
+    assert work.evaluate_layout(found.positions, found.yaws).objective_value == np.inf
+    made = work.search_from(4, 1)
+    assert not join_obstacles([pillar]).is_enclosed(made.positions).any()
+    assert compute_visibility(
+        made.positions, where.survey.target_points, where.sight_limits, obstacles=join_obstacles([pillar])
+    ).is_visible.all()
+    free = LayoutSearcher(site(), grid_step=0.8, n_yaws=4, n_heights=1).search_from(4, 1)
+    assert made.objective_value > 0.97 * min(free.objective_value, found.objective_value)
 
 
 def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
     """From the height of a table's top a point on it is in sight, from 40 mm lower it is not."""
-    table = joined_obstacles([transformed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
+    table = join_obstacles([place_triangles(box_triangles(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
     point = np.array([[3.0, 3.0, 1.0]])
     heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
-    assert site(obstacles=table).visible(heads, point)[:, 0].tolist() == [True, True, True]
-    assert site(obstacles=table, position_tolerance=0.05).visible(heads, point)[:, 0].tolist() == [False, False, True]
+    assert site(obstacles=table).is_visible(heads, point)[:, 0].tolist() == [True, True, True]
+    assert site(obstacles=table, position_tolerance=0.05).is_visible(heads, point)[:, 0].tolist() == [
+        False,
+        False,
+        True,
+    ]
 
 
 def test_all_targets_that_no_place_sees_are_named() -> None:
     with pytest.raises(SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; raise the heads"):
-        searcher(site(limits=SightLimits(range_max=2.0))).from_start(0, 1)
+        searcher(site(sight_limits=SightLimits(range_max=2.0))).search_from(0, 1)
 
 
 def test_least_stations_a_target_lets_single_sights_go() -> None:
-    where = site(4, min_sights=2, limits=SightLimits(range_max=5.5))
-    made = searcher(where).from_start(0, 1)
-    visible = where.visible(made.position)
+    where = site(4, min_sights=2, sight_limits=SightLimits(range_max=5.5))
+    made = searcher(where).search_from(0, 1)
+    visible = where.is_visible(made.positions)
     assert not visible.all()
     assert (visible.sum(axis=0) >= 2).all()
     with pytest.raises(SetupError, match="no place on the floor sees every reflector"):
-        searcher(site(limits=SightLimits(range_max=5.5))).from_start(0, 1)
+        searcher(site(sight_limits=SightLimits(range_max=5.5))).search_from(0, 1)
 
 
 def test_fixed_nests_are_served_by_all_stations() -> None:
     aimed = np.ones(28, dtype=bool)
-    where = site(aimed=aimed)
-    made = searcher(where).from_start(0, 1)
-    half = aimed_normals(made.position, where.survey.points)[1]
-    assert half.max() <= where.limits.acceptance
-    free = searcher(site()).from_start(0, 1)
-    assert aimed_normals(free.position, where.survey.points)[1].max() > where.limits.acceptance
+    where = site(is_aimed_nest=aimed)
+    made = searcher(where).search_from(0, 1)
+    half = aim_nest_normals(made.positions, where.survey.target_points)[1]
+    assert half.max() <= where.sight_limits.max_incidence
+    free = searcher(site()).search_from(0, 1)
+    assert aim_nest_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.max_incidence
 
 
 def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
     where = site()
     effects = tuple(StationWeather(stations=(name,)) for name in where.survey.station_names)
-    goals = {TARGETS: Objective({TARGETS: 1.0}), DIAGNOSIS: Objective({DIAGNOSIS: 1.0}, effects=effects)}
-    best = {name: searcher(where, goal).from_start(2, 1) for name, goal in goals.items()}
-    rms = {name: information(where, made.position, made.yaw).target_rms for name, made in best.items()}
-    assert best[TARGETS].value == pytest.approx(rms[TARGETS], rel=1e-8)
-    assert rms[TARGETS] < rms[DIAGNOSIS]
-    judge = searcher(where, goals[DIAGNOSIS])
-    assert best[DIAGNOSIS].value < judge.evaluate(best[TARGETS].position, best[TARGETS].yaw).value
-    mixed = searcher(where, Objective({INSTRUMENT: 1.0, TARGETS: 1.0}, "A")).from_start(2, 1)
-    slow = information(where, mixed.position, mixed.yaw)
+    goals = {
+        TARGETS_QUALITY: LayoutObjective({TARGETS_QUALITY: 1.0}),
+        DIAGNOSIS_QUALITY: LayoutObjective({DIAGNOSIS_QUALITY: 1.0}, effects=effects),
+    }
+    best = {name: searcher(where, goal).search_from(2, 1) for name, goal in goals.items()}
+    rms = {name: information(where, made.positions, made.yaws).target_rms for name, made in best.items()}
+    assert best[TARGETS_QUALITY].objective_value == pytest.approx(rms[TARGETS_QUALITY], rel=1e-8)
+    assert rms[TARGETS_QUALITY] < rms[DIAGNOSIS_QUALITY]
+    judge = searcher(where, goals[DIAGNOSIS_QUALITY])
+    assert (
+        best[DIAGNOSIS_QUALITY].objective_value
+        < judge.evaluate_layout(best[TARGETS_QUALITY].positions, best[TARGETS_QUALITY].yaws).objective_value
+    )
+    mixed = searcher(where, LayoutObjective({INSTRUMENT_QUALITY: 1.0, TARGETS_QUALITY: 1.0}, "A")).search_from(2, 1)
+    slow = information(where, mixed.positions, mixed.yaws)
     mean = np.sqrt(float(a_criterion(slow.scaled_covariance)) * slow.target_rms)
-    assert mixed.value == pytest.approx(mean, rel=1e-8)
+    assert mixed.objective_value == pytest.approx(mean, rel=1e-8)
 
 
 def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
@@ -207,15 +232,15 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
     wall = np.stack([np.zeros(24), along.ravel(), height.ravel()], axis=1)
     places = np.concatenate([wall, wall[:, [1, 0, 2]]])
     names = tuple(f"P{i}" for i in range(len(places)))
-    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
+    where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
     stays = np.arange(28) >= 24
-    made = choose_reflectors(where, where.survey, stays, Objective(), misalignment())
-    before = d_criterion(LayoutInformation.of(where.survey).scaled_covariance)
-    after = d_criterion(LayoutInformation.of(made).scaled_covariance)
+    made = choose_reflectors(where, where.survey, stays, LayoutObjective(), misalignment_construction())
+    before = d_criterion(LayoutInformation.from_survey(where.survey).scaled_covariance)
+    after = d_criterion(LayoutInformation.from_survey(made).scaled_covariance)
     assert after < 0.97 * before
     assert len(made.target_names) == len(set(made.target_names)) == 28
-    assert made.points[:4] == pytest.approx(where.survey.points[24:])
-    moved = made.points[4:]
+    assert made.target_points[:4] == pytest.approx(where.survey.target_points[24:])
+    moved = made.target_points[4:]
     gap = np.linalg.norm(moved[:, None] - moved[None], axis=2)[np.triu_indices(24, 1)]
     assert gap.min() > 0.4
 
@@ -223,4 +248,4 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
 def test_points_inside_a_floor_that_is_not_convex() -> None:
     room = np.array([[0.0, 0], [4, 0], [4, 4], [2, 4], [2, 2], [0, 2]])
     points = np.array([[1.0, 1], [1, 3], [3, 3], [2, 3], [4, 4], [5, 1]])
-    assert inside(room, points).tolist() == [True, False, True, True, True, False]
+    assert is_inside_outline(room, points).tolist() == [True, False, True, True, True, False]

@@ -74,10 +74,10 @@ def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys
     assert lost.startswith(("- without S2: Not reached", "- without S2: Reached"))
     assert 1 <= len(places) <= 4
     assert all(line.startswith("- S2 at (") for line in places)
-    found = lt.without_station(made, "S2")
+    found = lt.station_alternatives(made, "S2")
     old = np.array(json.loads((made / "plan.json").read_text())["stations"][1]["position_mm"][:2]) / 1e3
-    assert all(np.linalg.norm(one.survey.position[1, :2] - old) >= 2.0 for one in found[1:])
-    x, y, z = (1e3 * found[1].survey.position[1]).tolist()
+    assert all(np.linalg.norm(one.survey.station_positions[1, :2] - old) >= 2.0 for one in found[1:])
+    x, y, z = (1e3 * found[1].survey.station_positions[1]).tolist()
     out = str(tmp_path / "other")
     assert run(["plan", str(made), "--move", f"S2={x},{y},{z}", "--out", out, "--quiet"]) == 0
     content = json.loads((tmp_path / "other" / "plan.json").read_text())

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 
@@ -31,7 +31,7 @@ def workshop(*, faces: int = 2, turn: np.ndarray | None = None) -> Recording:
     """Two stations, six targets, noise-free raw readings on one or two faces."""
     rows = []
     for s, (position, yaw) in enumerate(zip(POSITIONS, YAWS, strict=True)):
-        rotation = about_z(yaw) if turn is None else about_z(yaw) @ turn
+        rotation = rotation_about_z(yaw) if turn is None else rotation_about_z(yaw) @ turn
         polar = to_polar((POINTS - position) @ rotation)
         for t in range(len(POINTS)):
             for face in range(1, faces + 1):

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import GON
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings import Recording, read
 from tests.recordings.samples import outcome, shared
@@ -162,7 +162,7 @@ def misfit(recording: Recording, side: float) -> list[float]:
     for s in range(len(recording.stations)):
         rows = (recording.station == s) & np.isfinite(local).all(axis=1) & np.isfinite(known).all(axis=1)
         if rows.sum() > 5:
-            rotation, shift = align(local[rows], known[rows])
+            rotation, shift = align_rigidly(local[rows], known[rows])
             found.append(float(np.median(np.linalg.norm(local[rows] @ rotation.T + shift - known[rows], axis=1))))
     return found
 

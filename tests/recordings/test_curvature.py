@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points
-from ltsim.core.units import EARTH
+from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings import Hints, read
 from ltsim.recordings.coordinates import read_points
 
@@ -28,7 +28,7 @@ def survey(folder: Path, *, size: float = 1.0, further: str = "", refraction: fl
     points = corners | {f"W{i}": size * rng.uniform([0, 0, 0], [600, 500, 25]) for i in range(8)}
     rows = ["Station;Point;Hz [gon];V [gon];D [m]"]
     for name, place in corners.items():
-        lean = np.array([*(place[:2] / EARTH), 1.0])
+        lean = np.array([*(place[:2] / EARTH_RADIUS), 1.0])
         up = lean / np.linalg.norm(lean)
         east = np.cross([0.0, 1.0, 0.0], up)
         east /= np.linalg.norm(east)
@@ -37,7 +37,9 @@ def survey(folder: Path, *, size: float = 1.0, further: str = "", refraction: fl
             arm = axes @ (points[target] - place)
             length = float(np.linalg.norm(arm))
             hz = np.arctan2(arm[0], arm[1]) + rng.normal(0.0, 0.5) * ARCSECOND / np.hypot(arm[0], arm[1]) * length
-            zenith = np.arccos(arm[2] / length) - refraction * length / (2 * EARTH) + rng.normal(0.0, 0.5) * ARCSECOND
+            zenith = (
+                np.arccos(arm[2] / length) - refraction * length / (2 * EARTH_RADIUS) + rng.normal(0.0, 0.5) * ARCSECOND
+            )
             printed = np.array([hz % (2 * np.pi), zenith]) * 200 / np.pi
             rows.append(f"{name};{target};{printed[0]:.6f};{printed[1]:.6f};{length + rng.normal(0, 6e-4):.5f}")
     (folder / "survey.csv").write_text("\n".join(rows) + "\n")
@@ -71,8 +73,8 @@ def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_m
     assert 0.7 < adjusted.fit.sigma0 < 1.3
     true = np.loadtxt(tmp_path / "true.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)) * 1e-3
     names = [line.split(",")[0] for line in (tmp_path / "true.csv").read_text().splitlines()[1:]]
-    at = [names.index(name) for name in adjusted.targets]
-    assert np.abs(adjusted.points - true[at]).max() < 3e-3
+    at = [names.index(name) for name in adjusted.target_names]
+    assert np.abs(adjusted.target_points - true[at]).max() < 3e-3
 
 
 @pytest.mark.parametrize("refraction", [0.0, 0.13, 0.3])
@@ -82,7 +84,7 @@ def test_the_coefficient_of_refraction_is_estimated(tmp_path: Path, refraction: 
     assert sum("coefficient of refraction" in note for note in recording.notes) == 1
     adjusted = adjust(recording)
     assert 0.7 < adjusted.sigma0 < 1.3
-    (difference,) = adjusted.state.extra
+    (difference,) = adjusted.state.extra_parameters
     assert 0.13 + difference == pytest.approx(refraction, abs=0.05)
     straight = recording.replace(setup=recording.setup.model_copy(update={"refraction": None}))
     assert (adjust(straight).chi2 > adjusted.chi2 + 50.0) == (refraction > 0.2)
@@ -91,7 +93,7 @@ def test_the_coefficient_of_refraction_is_estimated(tmp_path: Path, refraction: 
 def test_a_declared_coefficient_stays(tmp_path: Path) -> None:
     recording = read(survey(tmp_path, further="refraction = [0.3, 0.01]", refraction=0.3), hints=hints(tmp_path))
     assert recording.setup.refraction == (0.3, 0.01)
-    assert adjust(recording).state.extra == pytest.approx([0.0], abs=0.03)
+    assert adjust(recording).state.extra_parameters == pytest.approx([0.0], abs=0.03)
 
 
 @pytest.mark.parametrize(("size", "further"), [(0.003, ""), (1.0, "curved = false")])

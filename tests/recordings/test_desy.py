@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
 from ltsim.calibration.correct import correct
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
@@ -27,20 +27,20 @@ def report():
 
 @pytest.mark.long
 def test_report_and_text_give_the_same_instrument(text, report):
-    one, other = (calibrate_network(r, advise=False) for r in (text, report))
+    one, other = (calibrate_network(r, recommend_measurements=False) for r in (text, report))
     assert one.fit.status == other.fit.status == "converged"
     assert other.instruments == ("Leica AT960-930",)
-    assert np.all(np.abs(one.values - other.values) < 2.5 * one.sigma)
+    assert np.all(np.abs(one.estimates - other.estimates) < 2.5 * one.sigma)
     tilt = one.construction.index("beam-tilt")
-    assert one.values[0, tilt] > 4 * one.sigma[0, tilt]
+    assert one.estimates[0, tilt] > 4 * one.sigma[0, tilt]
 
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_parameters_of_one_set_up_reduce_the_two_face_differences_of_the_other(text, number, tmp_path):
-    write_calibration(calibrate_network(text.select(text.station == number), advise=False), tmp_path)
+    write_calibration(calibrate_network(text.select(text.station == number), recommend_measurements=False), tmp_path)
     other = text.select(text.station != number)
-    before = two_face(other)
-    after = two_face(correct(other, read_calibration(tmp_path)))
+    before = two_face_pairs(other)
+    after = two_face_pairs(correct(other, read_calibration(tmp_path)))
     share = 1.0 - after.median / before.median
     assert share[1] > 0.2
     assert share[2] > 0.7

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ltsim.core.errors import RecordError
-from ltsim.recordings import FORMATS, Hints, read, recognised, write
+from ltsim.recordings import FORMATS, Hints, read, recognise_format, write
 from tests.recordings import (
     test_cern_lgc,
     test_gama,
@@ -49,7 +49,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
 def test_formats_are_recognised_by_content(files: dict[str, Path]) -> None:
     assert {f.name for f in FORMATS} == set(files)
     for name, path in files.items():
-        assert recognised(path).name == name
+        assert recognise_format(path).name == name
         if name != "point-list":
             assert len(read(path, hints=HINTS)) > 2
 

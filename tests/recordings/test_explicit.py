@@ -18,7 +18,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings import Hints, read
-from ltsim.recordings.conventions import contradictions
+from ltsim.recordings.conventions import convention_contradictions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import read_setup
@@ -49,7 +49,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 1.08)
     np.testing.assert_allclose(found.covariates["sigma_elevation_arcsec"], 1.08)
     np.testing.assert_allclose(found.readings[0, 0], 327.6857)
-    assert not found.circumstances.keys() & {"tohgt", "target_height_mm", "ha_error"}
+    assert not found.regressor_covariates.keys() & {"tohgt", "target_height_mm", "ha_error"}
     assert not found.has_clock
     assert found.labels["date"][0] == "2015-03-15"
     said = "\n".join(found.notes)
@@ -127,7 +127,7 @@ def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_a
     range_, elevation = r.readings[:, 0], r.readings[:, 2]
     sigma = 2e-5 * np.stack([np.ones(len(r)), 1 / (range_ * np.cos(elevation)), 1 / range_], axis=1)
     polar = adjust(r, sigma=sigma)
-    np.testing.assert_allclose(found.adjustment.state.points, polar.state.points, atol=1e-8)
+    np.testing.assert_allclose(found.adjustment.state.target_points, polar.state.target_points, atol=1e-8)
     folder = tmp_path / "folder"
     folder.mkdir()
     for name in r.stations:
@@ -138,7 +138,7 @@ def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_a
     asked = str(refused.value).partition('--columns "')[2].rstrip('"')
     assert asked == "target=1,x=2[mm],y=3[mm],z=4[mm]"
     again = read(folder, hints=Hints(columns=asked))
-    np.testing.assert_allclose(adjust(again, sigma=sigma).state.points, polar.state.points, atol=1e-8)
+    np.testing.assert_allclose(adjust(again, sigma=sigma).state.target_points, polar.state.target_points, atol=1e-8)
 
 
 def test_names_that_differ_by_set_up(tmp_path: Path) -> None:
@@ -291,11 +291,11 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
         for i, name in enumerate(one.stations)
     }
     one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
-    assert not contradictions(one)
-    mirrored = contradictions(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
+    assert not convention_contradictions(one)
+    mirrored = convention_contradictions(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
     assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
-    found = contradictions(workshop().with_readings(one.readings * second))
+    found = convention_contradictions(workshop().with_readings(one.readings * second))
     assert found == (
         "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of them run clockwise",
     )

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from ltsim.adjustment.estimate import adjust
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, GON
-from ltsim.physics.model.nuisances import shared_errors
+from ltsim.physics.model.nuisances import read_shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.setup import Gauge, Setup, Station, Target
 from tests.recordings.samples import outcome, shared, workshop
@@ -121,12 +121,12 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     correlated = read(
         sample(tmp_path / "m.gkf", '<direction to="C" val="55" />', f'<direction to="C" val="55" />{matrix}')
     )
-    (shared,) = shared_errors(correlated)
-    reach = shared.reach[2:5, 1]
+    (shared,) = read_shared_errors(correlated)
+    reach = shared.reading_changes[2:5, 1]
     spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
     np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)
-    assert np.count_nonzero(shared.reach) == np.count_nonzero(reach) == 2
-    assert not {*correlated.circumstances}
+    assert np.count_nonzero(shared.reading_changes) == np.count_nonzero(reach) == 2
+    assert not {*correlated.regressor_covariates}
 
 
 @pytest.mark.parametrize(
@@ -317,6 +317,6 @@ def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
     assert any("4 points are adjusted in plan only" in note for note in found.notes)
     assert any("1 observations that need heights are left out, as Gama does" in note for note in found.notes)
     solved = adjust(found)
-    place = dict(zip(found.targets, solved.state.points, strict=True))
+    place = dict(zip(found.targets, solved.state.target_points, strict=True))
     assert np.linalg.norm(place["D"] - place["C"]) == pytest.approx(np.hypot(20.0, 50.0), abs=2e-3)
     assert [place[name][2] for name in "CD"] == pytest.approx([0.0, 0.0], abs=1e-6)

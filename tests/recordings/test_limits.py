@@ -28,9 +28,9 @@ from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import read_lines
 from ltsim.recordings.result_file import read_json
-from ltsim.recordings.settings import check_toml, read_setup, read_toml
+from ltsim.recordings.settings import check_toml_limits, read_setup, read_toml
 from ltsim.recordings.tables.sheets import table_rows
-from ltsim.recordings.xml import parse
+from ltsim.recordings.xml import parse_xml
 from tests.recordings.samples import workshop
 
 
@@ -48,12 +48,12 @@ from tests.recordings.samples import workshop
 )
 def test_toml_that_is_nested_too_deeply_is_refused_before_it_is_parsed(text: str) -> None:
     with pytest.raises(RecordError, match="nested deeper than 32"):
-        check_toml(text, "a.toml")
+        check_toml_limits(text, "a.toml")
 
 
 def test_strings_and_comments_of_toml_are_no_structure() -> None:
     quiet = '"' + "." * 100 + '"', "'" + "[" * 100 + "'", '"""\n' + "{\n" * 100 + '"""', "'''" + "[" * 100 + "'''"
-    check_toml("".join(f"k{i} = {text} # {'[' * 100}\n" for i, text in enumerate(quiet)), "a.toml")
+    check_toml_limits("".join(f"k{i} = {text} # {'[' * 100}\n" for i, text in enumerate(quiet)), "a.toml")
 
 
 def test_toml_of_too_many_keys_is_refused(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_toml_of_too_many_keys_is_refused(tmp_path: Path) -> None:
 def test_xml_is_bounded(text: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "a.xml").write_text(text)
     with pytest.raises(RecordError, match=says):
-        parse(tmp_path / "a.xml")
+        parse_xml(tmp_path / "a.xml")
 
 
 @pytest.mark.parametrize(
@@ -330,14 +330,14 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
         lt.adjust(whole)
     thinned = lt.convert(whole, tmp_path / "thinned", every=3)
     assert np.array_equal(thinned.readings, recording.readings)
-    assert len(lt.adjust(thinned).targets) == 28
+    assert len(lt.adjust(thinned).target_names) == 28
 
 
 def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
     monkeypatch.setenv(MAX_POINTINGS, str(len(recording)))
-    assert len(lt.adjust(recording).targets) == 28
+    assert len(lt.adjust(recording).target_names) == 28
     monkeypatch.setenv(MAX_POINTINGS, str(len(recording) - 1))
     with pytest.raises(NetworkError, match=f"at most 139: .* set the environment variable {MAX_POINTINGS} to 140"):
         lt.adjust(recording)
@@ -353,7 +353,7 @@ def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pyt
 def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.tile(np.arange(len(recording)), 5))
-    thinned = whole.thinned(2)
+    thinned = whole.thin(2)
     assert len(thinned) == 3 * len(recording)
-    assert len(whole.thinned(9)) == len(recording)
+    assert len(whole.thin(9)) == len(recording)
     assert np.array_equal(thinned.readings[-len(recording) :], recording.readings)

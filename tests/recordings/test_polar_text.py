@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.coordinates import read_points
@@ -237,14 +237,14 @@ def test_the_girder_comes_out_where_its_authors_have_it(epoch: int, date: str) -
     if not folder.is_dir():
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(folder / f"Polar_measurements_{date}.txt", hints=CLOCKWISE)
-    points = adjust(recording, robust=True).state.points
+    points = adjust(recording, robust=True).state.target_points
     lines = (
         line.replace(",", " ").split() for line in (folder / f"Results_Epoch_{epoch}.txt").read_text().splitlines()
     )
     published = {w[0]: [float(x) for x in w[1:4]] for w in lines if len(w) > 3 and w[0] in recording.targets}
     ours = points[[recording.targets.index(name) for name in published]]
     goal = np.array(list(published.values()))
-    rotation, shift = align(ours, goal)
+    rotation, shift = align_rigidly(ours, goal)
     miss = np.linalg.norm(ours @ rotation.T + shift - goal, axis=1)
     assert len(miss) == 88
     assert np.median(miss) < 6e-6

@@ -12,20 +12,20 @@ import ltsim as lt
 from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.recordings.specification import (
-    COVERAGE,
+    MPE_COVERAGE_FACTOR,
     REQUIRED_LIMITS,
     Specification,
-    figures,
-    sheet,
-    sheet_names,
-    tables_from_sheet,
+    data_sheet,
+    data_sheet_figures,
+    data_sheet_names,
+    noise_and_prior_tables,
 )
 
 RANGE_TABLES = {
     "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
     "prior": {"range_scale_ppm": 0.2, "range_offset_mm": 0.003},
 }
-WHOLE = [name for name in sheet_names() if all(key in figures(name) for key in REQUIRED_LIMITS)]
+WHOLE = [name for name in data_sheet_names() if all(key in data_sheet_figures(name) for key in REQUIRED_LIMITS)]
 
 
 def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: bool) -> dict[str, float]:
@@ -33,18 +33,20 @@ def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: boo
     zero = [noise["distance_mm"]] if own_zero else [noise["distance_mm"], prior["range_offset_mm"]]
     angle = np.hypot(noise["azimuth_arcsec"], np.sqrt(2) * prior["angle_arcsec"])
     return {
-        "transverse_um": COVERAGE * prior["offset_mm"] * MILLIMETRE / MICROMETRE,
-        "transverse_um_per_m": COVERAGE * angle * ARCSECOND / MICROMETRE,
-        "range_um": COVERAGE * float(np.linalg.norm(zero)) * MILLIMETRE / MICROMETRE,
-        "range_um_per_m": COVERAGE * float(np.hypot(noise["distance_ppm"], prior["range_scale_ppm"])),
-        "range_offset_um": COVERAGE * prior["range_offset_mm"] * MILLIMETRE / MICROMETRE if own_zero else 0.0,
+        "transverse_um": MPE_COVERAGE_FACTOR * prior["offset_mm"] * MILLIMETRE / MICROMETRE,
+        "transverse_um_per_m": MPE_COVERAGE_FACTOR * angle * ARCSECOND / MICROMETRE,
+        "range_um": MPE_COVERAGE_FACTOR * float(np.linalg.norm(zero)) * MILLIMETRE / MICROMETRE,
+        "range_um_per_m": MPE_COVERAGE_FACTOR * float(np.hypot(noise["distance_ppm"], prior["range_scale_ppm"])),
+        "range_offset_um": MPE_COVERAGE_FACTOR * prior["range_offset_mm"] * MILLIMETRE / MICROMETRE
+        if own_zero
+        else 0.0,
     }
 
 
-@pytest.mark.parametrize("name", sheet_names())
+@pytest.mark.parametrize("name", data_sheet_names())
 def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
-    stated = figures(name)
-    tables = tables_from_sheet(name, RANGE_TABLES)
+    stated = data_sheet_figures(name)
+    tables = noise_and_prior_tables(name, RANGE_TABLES)
     made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_um" in stated)
     known = [key for key in made if key in stated and (name in WHOLE or key.startswith("transverse"))]
     assert known[:2] == ["transverse_um", "transverse_um_per_m"]
@@ -52,17 +54,17 @@ def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
 
 
 def test_every_sheet_says_where_its_figures_stand() -> None:
-    for name in sheet_names():
-        assert re.search(r"\d{4}|p\. \d|\.com/", figures(name)["source"]), name
-        assert figures(name)["name"]
+    for name in data_sheet_names():
+        assert re.search(r"\d{4}|p\. \d|\.com/", data_sheet_figures(name)["source"]), name
+        assert data_sheet_figures(name)["name"]
     assert set(WHOLE) == {"leica-at500", "faro-vantage", "sensors-2021"}
 
 
 def test_no_range_is_guessed() -> None:
     with pytest.raises(ModelError, match="leica-at960 does not give range_um"):
-        sheet("leica-at960")
+        data_sheet("leica-at960")
     with pytest.raises(ModelError, match=r"give the error of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
-        tables_from_sheet("api-radian", {"noise": RANGE_TABLES["noise"]})
+        noise_and_prior_tables("api-radian", {"noise": RANGE_TABLES["noise"]})
 
 
 def test_a_specification_completes_a_sheet() -> None:
@@ -94,14 +96,14 @@ def test_no_limit_of_another_instrument_is_kept() -> None:
 def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
-    assert tracker.noise.model_dump() == tables_from_sheet("faro-vantage", {})["noise"]
+    assert tracker.noise.model_dump() == noise_and_prior_tables("faro-vantage", {})["noise"]
     with pytest.raises(SetupError, match="does not give the error of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
     assert tracker.noise.distance_mm == 0.004
     assert tracker.noise.azimuth_arcsec == pytest.approx(
-        figures("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
+        data_sheet_figures("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
     )
 
 
@@ -126,11 +128,11 @@ def test_a_recording_takes_a_sheet(tmp_path: Path) -> None:
 
 def test_what_a_specification_of_ones_own_becomes() -> None:
     own = Specification(transverse_um=0, transverse_um_per_m=6, range_um=10, range_um_per_m=0)
-    stated = own.instrument()
+    stated = own.to_instrument()
     made = limits_of(stated.noise.model_dump(), stated.prior.model_dump(), own_zero=False)
     assert made["transverse_um_per_m"] == pytest.approx(6)
     assert made["range_um"] == pytest.approx(10)
-    assert "2 standard deviations" in own.assumption
+    assert "2 standard deviations" in own.assumption_sentence
 
 
 def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: Path) -> None:

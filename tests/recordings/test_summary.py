@@ -11,7 +11,7 @@ import pytest
 from ltsim.cli.main import run
 from ltsim.recordings import read
 from ltsim.recordings.setup import Noise, Station, Target
-from ltsim.recordings.summary import noise_words, summary
+from ltsim.recordings.summary import noise_text, recording_summary
 from tests.recordings.samples import workshop
 
 
@@ -26,7 +26,9 @@ def test_a_surveyor_sees_what_was_read() -> None:
             "targets": {recording.targets[1]: Target(known_mm=(0.0, 0.0, 0.0), height_mm=100)},
         }
     )
-    topics = summary(recording.replace(setup=setup, time=np.linspace(0.0, 3725.0, len(recording)), has_clock=True))
+    topics = recording_summary(
+        recording.replace(setup=setup, time=np.linspace(0.0, 3725.0, len(recording)), has_clock=True)
+    )
     count = len(recording.stations)
     assert topics["set-ups"] == f"{count} over 1 marks ({', '.join(recording.stations)}); 1 levelled"
     assert topics["pointings"].startswith(f"{len(recording)} to {len(recording.targets)} targets")
@@ -40,12 +42,12 @@ def test_faces_noise_and_what_is_missing_are_counted() -> None:
     first = recording.select(recording.face == 1)
     readings = first.readings.copy()
     readings[:, 0] = np.nan
-    topics = summary(first.with_readings(readings).replace(has_clock=False))
+    topics = recording_summary(first.with_readings(readings).replace(has_clock=False))
     assert topics["faces"] == "face 1 only"
     assert topics["readings"].startswith("no distances, ")
     assert topics["time"] == "no clock: the order of the rows replaces the time"
     assert topics["heights"] == "none"
-    assert noise_words(Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=2.0)) == (
+    assert noise_text(Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=2.0)) == (
         "1 mm + 1.5 ppm, 1 arcsec across, 2 arcsec in elevation"
     )
 
@@ -57,7 +59,7 @@ def test_convert_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     )
     assert run(["convert", str(tmp_path / "a.csv"), str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
-    for topic, words in summary(read(tmp_path / "a.csv")).items():
+    for topic, words in recording_summary(read(tmp_path / "a.csv")).items():
         assert f"  {topic:9}  {words}" in printed
     assert "see the 2 notes above" in printed
     assert run(["convert", str(tmp_path / "a.csv"), str(tmp_path / "out"), "--force", "--json"]) == 0

@@ -285,7 +285,7 @@ def test_columns_by_number_of_a_table_without_a_header(tmp_path: Path) -> None:
     [("1.234,5", "1234.5"), ("1,234.5", "1234.5"), ("-7,25", "-7.25"), ("12.5°", "12.5"), ("-0°30'00\"", "-0.5")],
 )
 def test_numbers_of_every_locale(text: str, value: str) -> None:
-    assert str(cells.value(text)).rstrip("0") == value.rstrip("0")
+    assert str(cells.parse_value(text)).rstrip("0") == value.rstrip("0")
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_numbers_of_every_locale(text: str, value: str) -> None:
     ],
 )
 def test_moments(texts: list[str], seconds: list[float]) -> None:
-    assert cells.moments(texts)[0] == seconds
+    assert cells.parse_times(texts)[0] == seconds
 
 
 def test_a_workbook_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,20 +68,20 @@ def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
     ],
 )
 def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
-    found = cells.value(text)
+    found = cells.parse_value(text)
     assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
-    assert cells.is_marked(text)
+    assert cells.is_sexagesimal(text)
 
 
 @pytest.mark.parametrize(("text", "degrees"), [("33.12072", 33.202), ("33.5", 33 + 50 / 60), ("7", 7.0)])
 def test_minutes_and_seconds_as_decimals(text: str, degrees: float) -> None:
-    found = cells.packed(text)
+    found = cells.parse_packed_degrees(text)
     assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
 
 
 @pytest.mark.parametrize("text", ["33°72'07\"", "33°12'61\"", "33.7512"])
 def test_no_angle_has_sixty_minutes(text: str) -> None:
-    assert cells.packed(text) is None
+    assert cells.parse_packed_degrees(text) is None
 
 
 GON = [(36.5, 99.75), (298.25, 90.5), (14.125, 89.625)]

@@ -18,20 +18,20 @@ ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.columns and slip.name !
 
 
 def slipped(recording: Recording, slip: TranscriptionError) -> Recording:
-    return recording.with_readings(slip.written(recording.readings))
+    return recording.with_readings(slip.with_error(recording.readings))
 
 
 @pytest.mark.parametrize("slip", [*UNIT_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
 def test_what_is_mended_is_what_was_read(slip: TranscriptionError) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
-    written = slip.written(readings)
-    np.testing.assert_allclose(slip.corrected(written), readings, rtol=1e-14)
+    written = slip.with_error(readings)
+    np.testing.assert_allclose(slip.without_error(written), readings, rtol=1e-14)
     untouched = [c for c in range(3) if c not in slip.columns]
     np.testing.assert_array_equal(written[:, untouched], readings[:, untouched])
 
 
 def test_the_effect_knows_every_slip_and_no_other() -> None:
-    assert [effect.mistake for effect in WrongUnit.at("S1")] == [slip.name for slip in UNIT_ERRORS]
+    assert [effect.mistake for effect in WrongUnit.at_station("S1")] == [slip.name for slip in UNIT_ERRORS]
     with pytest.raises(ModelError, match=r"did you mean .*metre"):
         WrongUnit(("S1",), mistake="metres")
 
@@ -43,7 +43,7 @@ def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: Transcription
     assert error_by_lengths(recording.readings, recording.station, recording.target) is None
     found = error_by_lengths(wrong.readings, recording.station, recording.target)
     assert found is not None
-    np.testing.assert_allclose(found.corrected(wrong.readings), recording.readings, atol=1e-12)
+    np.testing.assert_allclose(found.without_error(wrong.readings), recording.readings, atol=1e-12)
 
 
 def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:

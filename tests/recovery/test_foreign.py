@@ -44,18 +44,18 @@ def two_faces(tmp_path: Path) -> Any:
 def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too_small(two_faces: Any) -> None:
     right = lt.recover(SCENE, trials=30, seed=2, calibrator=two_faces)
     assert right.errors == "stated" and {p.parameter for p in right.parameters} == set(ERRORS) and right.passed
-    assert [check.sentence() for check in right.failures()] == []
+    assert [check.sentence() for check in right.failed_checks()] == []
     wrong = lt.recover(SCENE, trials=30, seed=2, calibrator=lambda recording: two_faces(recording, 3.0))
-    assert {check.what for check in wrong.failures() if "coverage" in check.statistic} == {*ERRORS}
-    assert {check.what for check in wrong.failures() if "deviation" in check.statistic} == {*ERRORS}
-    np.testing.assert_array_equal(right.arrays._stacked("estimate"), wrong.arrays._stacked("estimate"))
+    assert {check.subject for check in wrong.failed_checks() if "coverage" in check.statistic} == {*ERRORS}
+    assert {check.subject for check in wrong.failed_checks() if "deviation" in check.statistic} == {*ERRORS}
+    np.testing.assert_array_equal(right.arrays._stack_attribute("estimate"), wrong.arrays._stack_attribute("estimate"))
 
 
 def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None:
     how = {"trials": 8, "seed": 2, "calibrator": two_faces}
     wide = lt.recover(SCENE, tolerance={"beam-tilt": "2 urad"}, **how)
-    assert {check.what for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failures()
-    narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
+    assert {check.subject for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failed_checks()
+    narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failed_checks()
     assert narrow[0].sentence().startswith("beam-tilt fails: share of errors within 0.01 arcsec")
     for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "to none of")):
         with pytest.raises(SetupError, match=says):
@@ -65,18 +65,20 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
 def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     result = lt.recover(SCENE, trials=6, seed=2, calibrator=two_faces)
     found, own = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
-    k = own.names.index("beam-tilt")
-    beside = [trial.other.estimate[found.names.index("beam-tilt")] for trial in found.converged]
-    assert beside == pytest.approx([trial.estimate[k] for trial in own.converged], rel=1e-12)
+    k = own.parameter_names.index("beam-tilt")
+    beside = [
+        trial.ltsim_estimates.estimates[found.parameter_names.index("beam-tilt")] for trial in found.trials_with_result
+    ]
+    assert beside == pytest.approx([trial.estimates[k] for trial in own.trials_with_result], rel=1e-12)
     table = result.to_dataframe("parameters")
-    assert tuple(table["parameter"]) == found.names and np.all(table["larger_low"] <= table["larger_high"])
+    assert tuple(table["parameter"]) == found.parameter_names and np.all(table["larger_low"] <= table["larger_high"])
 
 
 def test_effects_are_recovered_by_name() -> None:
     scene = lt.scenario(SCENE, {"effects": [{"name": "head-sag", "draw": True}]})
     found = lt.recover(scene, trials=12, seed=3, with_effects=["head-sag"], errors="drawn")
     effect = [p.parameter for p in found.parameters if p.parameter.startswith("head-sag:")]
-    assert effect and not [check for check in found.failures() if check.what in effect]
+    assert effect and not [check for check in found.failed_checks() if check.subject in effect]
 
 
 def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
@@ -111,7 +113,7 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
     assert all(check.passed for check in recovery_checks(estimate, sigma, truth, names=["a", "b"]))
     assert not all(check.passed for check in recovery_checks(estimate, sigma / 3, truth))
     (only,) = recovery_checks(estimate, None, truth, names=["a", "b"], tolerance={"b": 2.0})
-    assert only.what == "b" and only.passed
+    assert only.subject == "b" and only.passed
     with pytest.raises(ModelError, match="to none of"):
         recovery_checks(estimate, None, truth, tolerance={"b": 2.0})
 
@@ -128,20 +130,23 @@ def constant(value: float, sigma: float | None, unit: str = "urad") -> Any:
 
 def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     silent = lt.recover(SCENE, trials=3, seed=2, calibrator=constant(1000.0, None))
-    assert silent.unchecked == ("beam-tilt",) and not silent.failures() and not silent.passed
+    assert silent.unchecked == ("beam-tilt",) and not silent.failed_checks() and not silent.passed
     assert (
-        silent.verdict()
+        silent.verdict_text()
         == "1 of 2 parameters are recovered within its declared uncertainty, the others are not checked"
     )
-    assert silent.problems()[-1].startswith(
+    assert silent.failure_sentences()[-1].startswith(
         "beam-tilt is not checked: the calibrator does not declare the standard deviation in every trial"
     )
-    assert "allow_unchecked=True" in silent.problems()[-1] and "recovered within" not in repr(silent).splitlines()[1]
+    assert (
+        "allow_unchecked=True" in silent.failure_sentences()[-1]
+        and "recovered within" not in repr(silent).splitlines()[1]
+    )
     assert lt.recover(SCENE, trials=3, seed=2, calibrator=constant(8.0, None), allow_unchecked=True).passed
     judged = lt.recover(SCENE, trials=3, calibrator=constant(1000.0, None), tolerance={"beam-tilt": "2 urad"})
     assert not judged.unchecked and not judged.passed
     nothing = lt.recover(SCENE, trials=2, calibrator=lambda recording: {"beam-tilt": (8.0, None, "urad")})
-    assert nothing.verdict() == "no parameter is checked" and not nothing.passed
+    assert nothing.verdict_text() == "no parameter is checked" and not nothing.passed
 
 
 def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
@@ -149,7 +154,7 @@ def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
     units = dict(zip(values, ("urad", "urad", "um", "ppm"), strict=True))
     silent = {name: (*given, units[name]) for name, given in values.items()}
     found = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
-    sentence = found.problems()[-1]
+    sentence = found.failure_sentences()[-1]
     assert len(found.unchecked) == 4
     assert sentence.startswith("4 of 4 parameters (")
     assert " and 1 more) are not checked: the calibrator does not declare" in sentence
@@ -167,16 +172,20 @@ def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
         value, sigma, unit = estimates["beam-tilt"]
         return estimates | {"beam-tilt": (value + 0.9 * sigma, sigma, unit)}
 
-    failures = lt.recover(SCENE, trials=20, seed=2, calibrator=shifted).failures()
-    assert {(check.what, check.statistic) for check in failures} == {("beam-tilt", "mean z-score")}
+    failures = lt.recover(SCENE, trials=20, seed=2, calibrator=shifted).failed_checks()
+    assert {(check.subject, check.statistic) for check in failures} == {("beam-tilt", "mean z-score")}
 
 
 def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters() -> None:
     answers = iter([{"beam-tilt": (8e-6, 3e-6, "rad"), "transit-tilt": (5.0, 3.0, "urad")},
                     {"transit-tilt": (5.0, 3.0, "urad"), "beam-tilt": (0.008, 0.003, "mrad")}])  # fmt: skip
     found = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers)).arrays
-    assert found.converged[0].units == found.converged[1].units == ("urad", "urad")
-    np.testing.assert_allclose([trial.estimate for trial in found.converged], [found.converged[0].truth] * 2)
+    assert (
+        found.trials_with_result[0].parameter_units == found.trials_with_result[1].parameter_units == ("urad", "urad")
+    )
+    np.testing.assert_allclose(
+        [trial.estimates for trial in found.trials_with_result], [found.trials_with_result[0].true_values] * 2
+    )
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
     with pytest.raises(RecordError, match="gives beam-tilt in a part of the trials only"):
         lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))
@@ -191,8 +200,11 @@ def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -
     command = f"{sys.executable} {program} {{recording}} {{out}}"
     found = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
     assert found.trials == 3 and not found.passed
-    assert found.problems()[0].startswith("the run ended after 3 failures of the calibrator: '")
-    assert "status 1 for trial 2; its last line was: RuntimeError: license server not reachable" in found.problems()[0]
+    assert found.failure_sentences()[0].startswith("the run ended after 3 failures of the calibrator: '")
+    assert (
+        "status 1 for trial 2; its last line was: RuntimeError: license server not reachable"
+        in found.failure_sentences()[0]
+    )
     assert lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials == 3
 
 

@@ -12,23 +12,23 @@ from scipy import stats
 import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
-from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, from_prior, run_trials
-from ltsim.campaigns.scoring import NetworkScore, Trial
+from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE, mean_check, parameter_checks
+from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, run_trials, with_errors_from_prior
+from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario, changed, load_scenario
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
+from ltsim.simulation.simulator import measure_trial
 from tests.families import family
 from tests.networks import target_error
 
 COVERED_AT = stats.norm.isf(0.025)
 
 
-def recovery(*trials: Trial | None) -> Recovery:
-    return Recovery.of(RecoveryTrials(trials))
+def recovery(*trials: TrialScore | None) -> Recovery:
+    return Recovery.from_trials(RecoveryTrials(trials))
 
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
@@ -38,10 +38,10 @@ def run_recovery(name: str, trials: int, **settings) -> Recovery:
 
 def flipped(slot: str) -> Construction:
     """The misalignment construction with the sign of one motion's error turned round."""
-    construction = misalignment()
-    chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.chain)
-    assert chain != construction.chain
-    return dataclasses.replace(construction, chain=chain)
+    construction = misalignment_construction()
+    chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.kinematic_chain)
+    assert chain != construction.kinematic_chain
+    return dataclasses.replace(construction, kinematic_chain=chain)
 
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", builtin_names())
@@ -49,7 +49,7 @@ EVERY_SCENARIO = pytest.mark.parametrize("name", builtin_names())
 
 @EVERY_SCENARIO
 def test_every_built_in_scenario_is_recovered(name: str) -> None:
-    assert [c.sentence() for c in run_recovery(name, 12).failures()] == []
+    assert [c.sentence() for c in run_recovery(name, 12).failed_checks()] == []
 
 
 @pytest.mark.long
@@ -57,16 +57,21 @@ def test_every_built_in_scenario_is_recovered(name: str) -> None:
 def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     """Errors over their sigmas as they are, of a table that is stated among them, and as the check expects them."""
     found = run_recovery(name, 1000, jobs=2)
-    assert [c.sentence() for c in found.failures()] == []
+    assert [c.sentence() for c in found.failed_checks()] == []
     trials = found.arrays
-    z = trials.z
+    z = trials.z_scores
     assert np.abs(z.mean(axis=0)).max() < 0.15
-    deviation, covered = trials._stacked("standard").std(axis=0, ddof=1), np.mean(np.abs(z) < COVERED_AT, axis=0)
-    tight = stats.norm.isf(0.5 * FALSE_ALARM / (2 * z.shape[1]))
+    deviation, covered = (
+        trials._stack_attribute("standard").std(axis=0, ddof=1),
+        np.mean(np.abs(z) < COVERED_AT, axis=0),
+    )
+    tight = stats.norm.isf(0.5 * FALSE_ALARM_RATE / (2 * z.shape[1]))
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
     for what in ("targets", "stations"):
-        assert np.mean([getattr(t.network, what) for t in trials.converged]) == pytest.approx(1.0, abs=0.08)
+        assert np.mean([getattr(t.network_score, what) for t in trials.trials_with_result]) == pytest.approx(
+            1.0, abs=0.08
+        )
 
 
 @pytest.mark.long
@@ -75,19 +80,21 @@ def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
     found = lt.recover("paper-workshop", trials=24, seed=5, with_effects="smr-incidence")
     names = [p.parameter for p in found.parameters if p.parameter.startswith("smr-incidence:")]
     assert len(names) == len(SmrIncidence.parameters)
-    assert [c.sentence() for c in found.failures()] == []
+    assert [c.sentence() for c in found.failed_checks()] == []
 
 
 @pytest.mark.long
 def test_a_fixed_nest_without_the_error_in_the_model_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.physics.model.measurement.incidence_errors", lambda recording: ())
-    assert run_recovery("paper-workshop", 60).failures()
+    assert run_recovery("paper-workshop", 60).failed_checks()
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["distance", "distance-l1"])
 def test_the_paper_methods_state_their_uncertainty_too(method: str) -> None:
-    assert [c.sentence() for c in run_recovery("paper-workshop-re-aimed", 200, method=method, jobs=2).failures()] == []
+    assert [
+        c.sentence() for c in run_recovery("paper-workshop-re-aimed", 200, method=method, jobs=2).failed_checks()
+    ] == []
 
 
 @pytest.mark.long
@@ -96,13 +103,13 @@ def test_the_paper_chain_recovers_itself() -> None:
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
     found = recovery(*run_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
-    assert [c.sentence() for c in found.failures()] == []
+    assert [c.sentence() for c in found.failed_checks()] == []
 
 
 @pytest.mark.parametrize("slot", family(["transit-offset", "beam-tilt"]))
 def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
-    failures = run_recovery("paper-workshop-two-face", 25, construction=flipped(slot)).failures()
-    assert slot in {failure.what for failure in failures}
+    failures = run_recovery("paper-workshop-two-face", 25, construction=flipped(slot)).failed_checks()
+    assert slot in {failure.subject for failure in failures}
     assert any("standard deviation" in failure.sentence() for failure in failures)
 
 
@@ -110,16 +117,16 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
 def test_a_parameter_that_the_model_lacks_fails() -> None:
     from ltsim.physics.effects import BASELINE
 
-    without = misalignment(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
-    failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failures()
-    assert "chi-square" in {failure.what for failure in failures}
+    without = misalignment_construction(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
+    failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failed_checks()
+    assert "chi-square" in {failure.subject for failure in failures}
 
 
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
     result = recovery(*run_trials(noisy, 20, RecoverySettings(), seed=1))
-    assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
+    assert {"chi-square", "targets"} <= {failure.subject for failure in result.failed_checks()}
 
 
 def test_errors_are_drawn_whatever_the_scenario_says() -> None:
@@ -127,8 +134,8 @@ def test_errors_are_drawn_whatever_the_scenario_says() -> None:
     fixed = scenario.model_copy(
         update={"instrument": scenario.instrument.model_copy(update={"errors": {"beam-tilt": 900.0}})}
     )
-    assert from_prior(fixed).instrument.draws
-    assert "beam-tilt" not in from_prior(fixed).instrument.errors
+    assert with_errors_from_prior(fixed).instrument.draws
+    assert "beam-tilt" not in with_errors_from_prior(fixed).instrument.errors
 
 
 def with_errors(name: str, **errors: float | bool) -> Scenario:
@@ -141,17 +148,17 @@ def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, transit_offset=-12.0, draw=True)
     result = lt.recover(scenario, trials=15, seed=4)
     assert result.errors == "stated"
-    assert [c.sentence() for c in result.failures()] == []
+    assert [c.sentence() for c in result.failed_checks()] == []
     assert lt.recover(scenario, trials=2, errors="drawn").errors == "drawn"
     _, truth = lt.simulate(scenario, seed=4)
-    assert truth.instrument["beam-tilt"] == pytest.approx(30e-6)
+    assert truth.instrument_values["beam-tilt"] == pytest.approx(30e-6)
 
 
 def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
     """A range scale stated 20 prior sigmas large, which the gauge alone tells."""
     scenario = with_errors("paper-workshop-re-aimed", draw=True, range_scale=40.0)
-    failures = lt.recover(scenario, trials=15, seed=4).failures()
-    assert "range-scale" in {failure.what for failure in failures}
+    failures = lt.recover(scenario, trials=15, seed=4).failed_checks()
+    assert "range-scale" in {failure.subject for failure in failures}
     assert any("coverage" in failure.statistic for failure in failures)
 
 
@@ -159,18 +166,18 @@ def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
     """Readings half as noisy as stated: the errors less what the prior makes of them scatter too little."""
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, draw=False)
     quiet = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 0.5})})
-    low = [f for f in lt.recover(quiet, trials=20, seed=4).failures() if f.value < f.low]
-    assert {"chi-square", "targets", "stations"} <= {f.what for f in low}
+    low = [f for f in lt.recover(quiet, trials=20, seed=4).failed_checks() if f.value < f.low]
+    assert {"chi-square", "targets", "stations"} <= {f.subject for f in low}
     assert any("standard deviation" in f.statistic for f in low)
 
 
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> None:
     errors = {"instruments.B.errors": {"draw": True, "beam-tilt": 30.0, "vertical-index": -25.0}}
-    scenario = changed(load_scenario("two-trackers"), errors, Path("hall.toml"))
+    scenario = change_scenario(load_scenario("two-trackers"), errors, Path("hall.toml"))
     result = lt.recover(scenario, trials=10, seed=2, method=method)
     assert result.errors == "stated"
-    assert [c.sentence() for c in result.failures()] == []
+    assert [c.sentence() for c in result.failed_checks()] == []
 
 
 def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
@@ -184,7 +191,7 @@ def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
 
 def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
     z = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
-    mean, spread, coverage = parameter_checks("x", z, FALSE_ALARM / 48)
+    mean, spread, coverage = parameter_checks("x", z, FALSE_ALARM_RATE / 48)
     assert (mean.low, mean.high) == (-0.1, 0.1)
     assert (spread.low, spread.high) == pytest.approx((0.95, 1.05))
     assert (coverage.low, coverage.high) == pytest.approx((0.935, 0.965))
@@ -192,7 +199,7 @@ def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
     assert spread.passed
     assert coverage.passed
     for wrong in (z + 0.12, 1.06 * z, 0.9 * z):
-        assert not all(check.passed for check in parameter_checks("x", wrong, FALSE_ALARM / 48))
+        assert not all(check.passed for check in parameter_checks("x", wrong, FALSE_ALARM_RATE / 48))
 
 
 def test_chance_alone_fails_one_run_in_a_hundred() -> None:
@@ -201,43 +208,43 @@ def test_chance_alone_fails_one_run_in_a_hundred() -> None:
     runs, count, size = 150, 30, 16
     failed = 0
     for _ in range(runs):
-        level = FALSE_ALARM / (3 * size + 3)
+        level = FALSE_ALARM_RATE / (3 * size + 3)
         z = rng.standard_normal((count, size))
         failed += any(not c.passed for k in range(size) for c in parameter_checks("x", z[:, k], level))
-    assert failed <= stats.binom.ppf(0.999, runs, FALSE_ALARM)
+    assert failed <= stats.binom.ppf(0.999, runs, FALSE_ALARM_RATE)
 
 
 def test_a_trial_that_does_not_converge_fails() -> None:
-    good = Trial(
+    good = TrialScore(
         ("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), NetworkScore(1, 1, 10, 10, 10, 4.5)
     )
-    failures = recovery(good, good, None).failures()
-    assert failures[0].what == "convergence"
+    failures = recovery(good, good, None).failed_checks()
+    assert failures[0].subject == "convergence"
     assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 
 
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
-    scenario = from_prior(load_scenario("paper-workshop-re-aimed"))
-    work = fieldwork(scenario, 5)
+    scenario = with_errors_from_prior(load_scenario("paper-workshop-re-aimed"))
+    work = make_geometry(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):
-        recording, truth = measure(work, 5, trial)
-        found = calibrate_network(recording, advise=False)
-        true = np.array([truth.instrument[name] for name in found.names])
+        recording, truth = measure_trial(work, 5, trial)
+        found = calibrate_network(recording, recommend_measurements=False)
+        true = np.array([truth.instrument_values[name] for name in found.instrument_parameter_names])
         held = found.adjustment.state  # the first station stands where it was put; the truth is moved there
-        turn = truth.rotation[0] @ held.rotation[0].T
-        points = (truth.points - truth.position[0]) @ turn + held.position[0]
-        place = (truth.position[1:] - truth.position[0]) @ turn + held.position[0]
+        turn = truth.station_rotations[0] @ held.station_rotations[0].T
+        points = (truth.target_points - truth.station_positions[0]) @ turn + held.station_positions[0]
+        place = (truth.station_positions[1:] - truth.station_positions[0]) @ turn + held.station_positions[0]
         stood = np.array([s.position for s in found.stations[1:]])
         errors.append(
-            np.concatenate([found.values[0] - true, (found.points - points).ravel(), (stood - place).ravel()])
+            np.concatenate([found.estimates[0] - true, (found.target_points - points).ravel(), (stood - place).ravel()])
         )
         spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses = np.array([s.sigma_position for s in found.stations[1:]])
         sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
         predicted = np.einsum("tii->", found.adjustment.in_inner_datum().target_covariance) / len(points)
-        inner.append(target_error(found.points, points) ** 2 / predicted)
+        inner.append(target_error(found.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.calibration.arrays import residuals_table
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
@@ -21,7 +21,7 @@ from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.recordings import write
 from ltsim.recordings.recording import Recording
@@ -34,7 +34,7 @@ from tests.networks import STATIONS, YAWS, drawn, network
 @cache
 def recording() -> Recording:
     """The test network in two faces with noise, instrument errors and a floor plan."""
-    made, _ = network(faces=2, seed=4, values=drawn(misalignment(), 7))
+    made, _ = network(faces=2, seed=4, values=drawn(misalignment_construction(), 7))
     plan = {
         name: Station(position_mm=place, yaw_deg=float(np.degrees(yaw)))
         for name, place, yaw in zip(made.stations, (1e3 * STATIONS).tolist(), YAWS, strict=True)
@@ -51,7 +51,7 @@ def before() -> Adjustment:
 @cache
 def after() -> Adjustment:
     """The network adjusted with them."""
-    return adjust(recording(), misalignment())
+    return adjust(recording(), misalignment_construction())
 
 
 @cache
@@ -215,23 +215,25 @@ def plan_folder(folder: Path) -> Path:
 def _history() -> CalibrationSeries:
     named = []
     for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
-        values = drawn(misalignment(), 7 if number < 2 else 8)
+        values = drawn(misalignment_construction(), 7 if number < 2 else 8)
         made, _ = network(faces=2, seed=1 + number, values=values)
-        named.append((label, calibrate_network(made, advise=False)))
-    return CalibrationSeries.of(named)
+        named.append((label, calibrate_network(made, recommend_measurements=False)))
+    return CalibrationSeries.from_labelled(named)
 
 
 def history_folder(folder: Path) -> Path:
     """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
     folder.mkdir(parents=True)
-    (folder / "history.json").write_text(History.of(_history()).text())
+    (folder / "history.json").write_text(History.from_series(_history()).text())
     return folder
 
 
 def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
     """A folder as `ltsim plan --after` leaves it."""
-    made = next_measurement(recording(), between=between)
+    made = rank_next_measurements(recording(), explanations=between)
     folder.mkdir(parents=True)
-    content = NextMeasurement.of(made).model_copy(update={"diagnosis": "The recording agrees with the model."})
+    content = NextMeasurement.from_ranking(made).model_copy(
+        update={"diagnosis": "The recording agrees with the model."}
+    )
     (folder / "next.json").write_text(content.text())
     return folder

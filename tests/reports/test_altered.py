@@ -52,7 +52,8 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "parameters": [{"name": "beam-tilt", "unit": "urad", "values": [1.0, 4.0], "sigmas": [0.7, 0.7], "mean": 2.5,
                         "spread": 1.0, "constant": {"chi2": 9.0, "dof": 1, "p_value": 0.003}}],
         "changes": [CHANGE], "since_first": CHANGE,
-        "events": [{"from": "may", "to": "june", "name": "beam-tilt", "difference": 3.0, "sigma": 1.0, "usual": 0.4,
+        "events": [{"from": "may", "to": "june", "name": "beam-tilt", "difference": 3.0, "sigma": 1.0,
+             "usual_step_sigma": 0.4,
                     "unit": "urad", "p_value": 0.003}],
     },
     "comparison.json": {

@@ -17,20 +17,20 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.adjustment.evaluation.criteria import CRITERIA
+from ltsim.adjustment.evaluation.criteria import CRITERIA_TABLE
 from ltsim.adjustment.fieldcheck.check import check as check_of
 from ltsim.calibration.calibration_series import ChiSquareEntry
-from ltsim.calibration.history import CourseEntry
+from ltsim.calibration.history import ParameterCourse
 from ltsim.calibration.schema import ParameterEntry
-from ltsim.campaigns.statistics import Scores
-from ltsim.core.notation import fixed, number, with_sigma
+from ltsim.campaigns.statistics import ZScoreSummary
+from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import Curve, Where
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
 from ltsim.planning.result import Plan
-from ltsim.recordings.specification import sheet
+from ltsim.recordings.specification import data_sheet
 from ltsim.reports import style
 from ltsim.reports.figures import (
     campaign as sweeps,
@@ -61,9 +61,15 @@ def parameters() -> list[ParameterEntry]:
     sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
     return [
         ParameterEntry(
-            name=p.name, value=v / p.factor, sigma=s / p.factor, unit=p.unit, prior_sigma=p.prior_sigma / p.factor
+            name=p.name,
+            value=v / p.si_per_display_unit,
+            sigma=s / p.si_per_display_unit,
+            unit=p.unit,
+            prior_sigma=p.prior_sigma / p.si_per_display_unit,
         )
-        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+        for p, v, s in zip(
+            adjusted.construction.parameters, adjusted.state.instrument_parameters[0], sigma, strict=True
+        )
     ]
 
 
@@ -101,7 +107,7 @@ def history_figure() -> Figure:
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
     told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
-    courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    courses = [ParameterCourse(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
     return estimates.history_figure(labels, courses)
 
 
@@ -123,7 +129,7 @@ def shares_of_limits() -> Figure:
         {
             "kind": "measured",
             "plan": "mine",
-            "specification": sheet("leica-at500"),
+            "specification": data_sheet("leica-at500"),
             "passes": 0,
             "sentence": "",
             "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
@@ -135,7 +141,7 @@ def shares_of_limits() -> Figure:
 
 def criteria_figure() -> Figure:
     rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
-    return estimates.criteria_figure(CRITERIA.filled(rows))
+    return estimates.criteria_figure(CRITERIA_TABLE.filled(rows))
 
 
 def distributions() -> Figure:
@@ -209,9 +215,9 @@ def driver_curve() -> Figure:
     return misfits.driver_curve(curve, "distance", residuals()[0])
 
 
-def scores(z: np.ndarray) -> list[Scores]:
+def scores(z: np.ndarray) -> list[ZScoreSummary]:
     shares = (np.abs(z) <= 1.96).mean(axis=1)
-    return [Scores(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
+    return [ZScoreSummary(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
 
 
 def coverage() -> Figure:
@@ -365,12 +371,12 @@ def test_drawing_changes_no_global_setting() -> None:
 def test_numbers_read_like_numbers() -> None:
     assert typeset(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
     assert typeset(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
-    assert [typeset(number(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
-    assert [typeset(fixed(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
+    assert [typeset(number_text(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+    assert [typeset(fixed_point_text(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
 
 
 def test_coverage_interval_is_wilsons() -> None:
-    row = Scores(0, "network", "a", 100, 0.0, 1.0, 0.95)
+    row = ZScoreSummary(0, "network", "a", 100, 0.0, 1.0, 0.95)
     assert sweeps.interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
 
 

@@ -318,7 +318,9 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     made = samples.recording()
     readings = made.readings.copy()
     readings[20, 0] += 3e-4
-    found = calibrate_network(made.with_readings(readings), advise=False, robust=True, noise_from_data=True)
+    found = calibrate_network(
+        made.with_readings(readings), recommend_measurements=False, robust=True, noise_from_data=True
+    )
     write_calibration(found, tmp_path / "cal")
     content = document(tmp_path / "cal")
     assert "the noise was estimated from the same readings" in content.answer
@@ -329,7 +331,7 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     assert noise.kind == gone.kind == "table"
     assert [row[0] for row in noise.rows] == ["distance", "azimuth", "elevation"]
     assert [row[-1] for row in gone.rows] == ["yes"]
-    plain = calibrate_network(made.with_readings(readings), advise=False)
+    plain = calibrate_network(made.with_readings(readings), recommend_measurements=False)
     write_calibration(plain, tmp_path / "plain")
     note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Verdict")
     assert note.kind == "note"

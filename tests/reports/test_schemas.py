@@ -14,7 +14,7 @@ from ltsim.calibration.arrays import residuals_table, targets_table
 from ltsim.calibration.files import read_targets
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.recordings import write
-from ltsim.recordings.result_file import digest_of, read_result
+from ltsim.recordings.result_file import read_result, recording_digest
 from ltsim.recordings.setup import Setup
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.schemas import RESULTS, main, schemas, tables
@@ -172,11 +172,11 @@ def test_a_recording_keeps_its_digest_through_a_file(tmp_path: Path) -> None:
 
     made = samples.recording()
     write(made, tmp_path / "copy")
-    assert digest_of(read(tmp_path / "copy")) == digest_of(made)
+    assert recording_digest(read(tmp_path / "copy")) == recording_digest(made)
     nudged = made.readings * (1 + 3e-16)
-    assert digest_of(made.with_readings(nudged)) == digest_of(made)
+    assert recording_digest(made.with_readings(nudged)) == recording_digest(made)
     swapped = made.select(np.arange(len(made))[::-1])
-    assert digest_of(swapped) != digest_of(made)
+    assert recording_digest(swapped) != recording_digest(made)
 
 
 NAMES = ("=1+1", "+7", "-T1", "@x", "'=quoted", "a,b", 'say "x"', "plain")

@@ -65,7 +65,7 @@ def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop.PlacedWo
 
 def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorkshop) -> None:
     assert scene.correction is not None
-    change = samples.after().state.points - samples.before().state.points
+    change = samples.after().state.target_points - samples.before().state.target_points
     assert np.linalg.norm(scene.correction, axis=1) == pytest.approx(np.linalg.norm(change, axis=1))
 
 

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
 from ltsim.scene.cad import Y_UP_TO_Z_UP, read_mesh
-from ltsim.simulation.workshop import bodies_of
+from ltsim.simulation.workshop import placed_obstacles
 
 HEADER = """ISO-10303-21;
 HEADER;
@@ -165,8 +165,8 @@ def written(folder: Path, name: str, turn: np.ndarray = Y_UP_TO_Z_UP.T, **keys: 
 
 
 def test_a_body_of_a_file_hides_sights(tmp_path: Path) -> None:
-    survey = lt.plan(written(tmp_path, "fuselage.stl")).network.chosen.survey
-    assert survey.visible.any() and not survey.visible.all()
+    survey = lt.plan(written(tmp_path, "fuselage.stl")).network.layout.survey
+    assert survey.is_visible.any() and not survey.is_visible.all()
 
 
 @pytest.mark.parametrize(
@@ -183,10 +183,10 @@ def test_each_format_gives_the_same_body(name: str, turn: np.ndarray, keys: dict
     """A convex body is that of its corners."""
     if name.endswith("step"):
         pytest.importorskip("cascadio", reason="the extra step is not installed")
-    (body,) = bodies_of(load_plan(written(tmp_path, name, turn, **keys))[1])
+    (body,) = placed_obstacles(load_plan(written(tmp_path, name, turn, **keys))[1])
     corners = [np.unique(t.reshape(-1, 3).round(5) + 0.0, axis=0) for t in (body.triangles, fuselage().triangles)]
     assert corners[0] == pytest.approx(corners[1], abs=2e-5)
-    assert "30 x 4 x 4 m, x 5.00 to 35.00" in body.words
+    assert "30 x 4 x 4 m, x 5.00 to 35.00" in body.description
 
 
 PLACE = "position_mm = [0, 0, 0]"
@@ -219,7 +219,7 @@ def test_a_body_that_cannot_be_meant_so_is_a_question(
     assert "\n" not in str(caught.value)
     if '"in"' in sentence:
         plan.write_text(plan.read_text().replace("position_mm", 'unit = "in"\nposition_mm', 1))
-        assert "30 x 4 x 4 m" in bodies_of(load_plan(plan)[1])[0].words
+        assert "30 x 4 x 4 m" in placed_obstacles(load_plan(plan)[1])[0].description
     if "beyond_room" in str(caught.value):
         plan.write_text(plan.read_text().replace("position_mm", "beyond_room = true\nposition_mm", 1))
         load_plan(plan)

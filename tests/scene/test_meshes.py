@@ -9,22 +9,22 @@ import trimesh
 from ltsim.core.errors import SetupError
 from ltsim.scene.cad import read_mesh
 from ltsim.scene.meshes import (
-    CYLINDER_SIDES,
-    UPWARDS,
+    N_CYLINDER_SIDES,
+    TEST_RAY_DIRECTION,
     Obstacles,
-    box,
-    cylinder,
-    joined_obstacles,
-    native_hits,
+    box_triangles,
+    count_native_hits,
+    cylinder_triangles,
+    join_obstacles,
     nearest_points,
-    transformed,
+    place_triangles,
 )
 
-CUBE = joined_obstacles([transformed(box(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
+CUBE = join_obstacles([place_triangles(box_triangles(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
 
 
 def blocked(start: tuple[float, float, float], end: tuple[float, float, float]) -> bool:
-    return bool(CUBE.blocked(np.array([start]), np.array([end]))[0])
+    return bool(CUBE.is_blocked(np.array([start]), np.array([end]))[0])
 
 
 def test_a_box_hides_what_is_behind_it_only() -> None:
@@ -55,20 +55,23 @@ def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
     start *= np.maximum(1.01 / np.linalg.norm(start, axis=1), 1.0)[:, None]
     end *= np.maximum(1.01 / np.linalg.norm(end, axis=1), 1.0)[:, None]
     length = np.linalg.norm(end - start, axis=1)
-    native = native_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
+    native = count_native_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
     assert 100 < native.sum() < 2900
-    np.testing.assert_array_equal(body.blocked(start, end), native)
-    places, up = start / 2.0, np.broadcast_to(UPWARDS, start.shape)
-    slowly = native_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
+    np.testing.assert_array_equal(body.is_blocked(start, end), native)
+    places, up = start / 2.0, np.broadcast_to(TEST_RAY_DIRECTION, start.shape)
+    slowly = count_native_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
     assert 100 < slowly.sum() < 2900
-    np.testing.assert_array_equal(body.holds(places), slowly)
+    np.testing.assert_array_equal(body.is_inside_body(places), slowly)
 
 
 def test_bodies_and_their_nearest_points_are_those_of_trimesh() -> None:
     """In the same order, too: places of nests are drawn by it."""
-    size, radius = np.array([1.0, 2.0, 3.0]), 0.5 / np.cos(np.pi / CYLINDER_SIDES)
-    peer = trimesh.creation.cylinder(radius=radius, height=2.0, sections=CYLINDER_SIDES)
-    for own, theirs in ((box(size), trimesh.creation.box(extents=size)), (cylinder(1.0, 2.0), peer)):
+    size, radius = np.array([1.0, 2.0, 3.0]), 0.5 / np.cos(np.pi / N_CYLINDER_SIDES)
+    peer = trimesh.creation.cylinder(radius=radius, height=2.0, sections=N_CYLINDER_SIDES)
+    for own, theirs in (
+        (box_triangles(size), trimesh.creation.box(extents=size)),
+        (cylinder_triangles(1.0, 2.0), peer),
+    ):
         np.testing.assert_allclose(own, theirs.triangles - [0.0, 0.0, theirs.bounds[0, 2]], atol=1e-12)
         for point in np.random.default_rng(4).uniform(-3, 3, (50, 3)):
             expected = trimesh.triangles.closest_point(own, np.tile(point, (len(own), 1)))
@@ -81,39 +84,41 @@ def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> N
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     bore = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     middle, on, deep = np.zeros_like(bore), tube.moved_to_surface(1.5 * bore), tube.moved_to_surface(1.6 * bore)
-    assert not tube.blocked(middle, on).any()
-    assert tube.blocked(3.0 * bore, on).all()
+    assert not tube.is_blocked(middle, on).any()
+    assert tube.is_blocked(3.0 * bore, on).all()
     np.testing.assert_allclose(on, 1.5 * bore, atol=0.0131)
     np.testing.assert_array_equal(deep, 1.6 * bore)
-    assert tube.blocked(middle, deep).all()
+    assert tube.is_blocked(middle, deep).all()
 
 
 def test_no_station_stands_inside_or_with_its_tripod_through_something() -> None:
     heads = np.array([[2.0, 0.0, 0.5], [2.0, 0.0, 1.8], [2.0, 0.6, 1.8], [0.0, 0.0, 1.8]])
-    assert CUBE.encloses(heads).tolist() == [True, True, False, False]
+    assert CUBE.is_enclosed(heads).tolist() == [True, True, False, False]
 
 
 def test_turned_and_moved() -> None:
-    turned = joined_obstacles([transformed(box(np.array([4.0, 0.2, 2.0])), np.array([1.0, 1.0, 0.0]), np.pi / 2)])
-    assert turned.blocked(np.array([[0.0, 2.5, 1.0]]), np.array([[2.0, 2.5, 1.0]])).all()
-    assert not turned.blocked(np.array([[1.5, -3.0, 1.0]]), np.array([[1.5, 4.0, 1.0]])).any()
+    turned = join_obstacles(
+        [place_triangles(box_triangles(np.array([4.0, 0.2, 2.0])), np.array([1.0, 1.0, 0.0]), np.pi / 2)]
+    )
+    assert turned.is_blocked(np.array([[0.0, 2.5, 1.0]]), np.array([[2.0, 2.5, 1.0]])).all()
+    assert not turned.is_blocked(np.array([[1.5, -3.0, 1.0]]), np.array([[1.5, 4.0, 1.0]])).any()
 
 
 def test_the_same_hall_is_built_once() -> None:
     """Its rays take 600 bytes a triangle, and every step of a plan asks for it."""
-    column, table = box(np.array([0.3, 0.3, 3.0])), box(np.array([2.0, 1.0, 0.8]))
-    hall = joined_obstacles([column, table])
-    assert joined_obstacles([column.copy(), table]) is hall
-    assert joined_obstacles([column, table], floor=1.0) is not hall
-    assert len(joined_obstacles([column]).triangles) == len(column)
+    column, table = box_triangles(np.array([0.3, 0.3, 3.0])), box_triangles(np.array([2.0, 1.0, 0.8]))
+    hall = join_obstacles([column, table])
+    assert join_obstacles([column.copy(), table]) is hall
+    assert join_obstacles([column, table], floor=1.0) is not hall
+    assert len(join_obstacles([column]).triangles) == len(column)
     with pytest.raises(ValueError, match="read-only"):
         hall.triangles[0] = 0.0
 
 
 def test_nothing_blocks_nothing() -> None:
-    empty = joined_obstacles([])
-    assert not empty.blocked(np.zeros((2, 3)), np.ones((2, 3))).any()
-    assert not empty.encloses(np.zeros((2, 3))).any()
+    empty = join_obstacles([])
+    assert not empty.is_blocked(np.zeros((2, 3)), np.ones((2, 3))).any()
+    assert not empty.is_enclosed(np.zeros((2, 3))).any()
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "glb", "ply"])

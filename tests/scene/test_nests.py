@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.scene.meshes import box, cylinder, joined_obstacles, nest_places, walls
+from ltsim.scene.meshes import box_triangles, candidate_nest_places, cylinder_triangles, join_obstacles, wall_triangles
 
 SIZE = np.array([2.5, 1.5, 2.2])
 
 
-@pytest.mark.parametrize("triangles", [box(SIZE), box(SIZE)[:, ::-1]], ids=["wound out", "wound in"])
+@pytest.mark.parametrize(
+    "triangles", [box_triangles(SIZE), box_triangles(SIZE)[:, ::-1]], ids=["wound out", "wound in"]
+)
 def test_places_on_a_box_lie_outside_on_its_faces_and_apart(triangles: Floats) -> None:
-    places = nest_places(triangles, 0.04, 0.4)
+    places = candidate_nest_places(triangles, 0.04, 0.4)
     beyond = np.maximum(np.abs(places - [0, 0, SIZE[2] / 2]) - SIZE / 2, 0)
     assert np.linalg.norm(beyond, axis=1) == pytest.approx(0.04)
     assert places[:, 2].min() > 0.02
@@ -23,21 +25,21 @@ def test_places_on_a_box_lie_outside_on_its_faces_and_apart(triangles: Floats) -
     assert sides == {(0, True), (0, False), (1, True), (1, False), (2, True)}
     within = np.abs(places - [0, 0, SIZE[2] / 2]) < SIZE / 2 - 0.024
     assert np.all(within.sum(axis=1) == 2), "a foot does not reach over an edge"
-    assert np.array_equal(places, nest_places(triangles, 0.04, 0.4))
+    assert np.array_equal(places, candidate_nest_places(triangles, 0.04, 0.4))
 
 
 def test_a_thin_pole_carries_no_nest_and_a_wide_one_does() -> None:
-    assert not len(nest_places(cylinder(0.04, 0.05), 0.04, 0.2))
-    places = nest_places(cylinder(1.0, 2.0), 0.04, 0.3)
+    assert not len(candidate_nest_places(cylinder_triangles(0.04, 0.05), 0.04, 0.2))
+    places = candidate_nest_places(cylinder_triangles(1.0, 2.0), 0.04, 0.3)
     assert len(places) > 10
     assert np.hypot(*places[places[:, 2] < 1.9, :2].T) == pytest.approx(0.54, abs=2e-3)
 
 
 def test_walls_hold_nests_inside_the_room_and_not_in_what_stands_there() -> None:
     size = np.array([12.0, 8.0, 5.0])
-    cupboard = joined_obstacles([box(np.array([3.0, 3.0, 3.0]))])
-    places = nest_places(walls(size), 0.04, 0.5, cupboard, closed=False)
+    cupboard = join_obstacles([box_triangles(np.array([3.0, 3.0, 3.0]))])
+    places = candidate_nest_places(wall_triangles(size), 0.04, 0.5, cupboard, closed=False)
     assert np.all((places > 0) & (places < size))
     assert np.minimum(places, size - places)[:, :2].min(axis=1) == pytest.approx(0.04)
-    assert not cupboard.holds(places).any()
-    assert len(nest_places(walls(size), 0.04, 0.5, closed=False)) > len(places)
+    assert not cupboard.is_inside_body(places).any()
+    assert len(candidate_nest_places(wall_triangles(size), 0.04, 0.5, closed=False)) > len(places)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.measurement import sightings_of
 from tests.networks import network
 
@@ -24,42 +24,42 @@ def sightings():
 
 def test_moves_of_a_station_add_up(sightings):
     for station in range(len(sightings.station_names)):
-        rows = sightings.order[sightings.station[sightings.order] == station]
-        whole = sightings.raw[rows[-1]] - sightings.raw[rows[0]]
-        gone = sightings.move[rows].sum(axis=0)
+        rows = sightings.measurement_order[sightings.station[sightings.measurement_order] == station]
+        whole = sightings.raw_readings[rows[-1]] - sightings.raw_readings[rows[0]]
+        gone = sightings.reading_changes[rows].sum(axis=0)
         assert gone[[0, 2]] == pytest.approx(whole[[0, 2]], abs=1e-9)
-        assert wrap(np.array([gone[1] - whole[1]])) == pytest.approx(0.0, abs=1e-9)
+        assert wrap_angle(np.array([gone[1] - whole[1]])) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_first_pointing_of_a_station_comes_from_nowhere(sightings):
-    first = sightings.previous < 0
+    first = sightings.previous_rows < 0
     assert first.sum() == len(sightings.station_names)
-    assert not sightings.move[first].any()
-    assert not sightings.approach[first].any()
-    assert (sightings.station[sightings.previous[~first]] == sightings.station[~first]).all()
-    assert (sightings.time[sightings.previous[~first]] < sightings.time[~first]).all()
+    assert not sightings.reading_changes[first].any()
+    assert not sightings.approach_signs[first].any()
+    assert (sightings.station[sightings.previous_rows[~first]] == sightings.station[~first]).all()
+    assert (sightings.time[sightings.previous_rows[~first]] < sightings.time[~first]).all()
 
 
 def test_a_reflector_that_stays_is_not_set_anew(sightings):
     """Faces and repeats of a target in a row are one seating; every set-up begins at nought."""
-    first = sightings.order[sightings.station[sightings.order] == 0]
+    first = sightings.measurement_order[sightings.station[sightings.measurement_order] == 0]
     target = sightings.target.copy()
     target[first[2:4]] = target[first[1]]
     again = replace(sightings, target=target)
     for station in range(len(sightings.station_names)):
-        rows = sightings.order[sightings.station[sightings.order] == station]
+        rows = sightings.measurement_order[sightings.station[sightings.measurement_order] == station]
         elsewhere = np.diff(target[rows]) != 0
-        assert again.seating[rows[0]] == 0
-        assert (np.diff(again.seating[rows]) == elsewhere).all()
-    assert again.seating[first[3]] == 1
+        assert again.seating_numbers[rows[0]] == 0
+        assert (np.diff(again.seating_numbers[rows]) == elsewhere).all()
+    assert again.seating_numbers[first[3]] == 1
 
 
 def test_an_axis_that_stands_still_was_moved_earlier(sightings):
     """Twice the same target: the second pointing comes from the side of the first."""
-    rows = sightings.order[sightings.station[sightings.order] == 0]
+    rows = sightings.measurement_order[sightings.station[sightings.measurement_order] == 0]
     target, face = sightings.target.copy(), sightings.face.copy()
     target[rows[2]], face[rows[2]] = target[rows[1]], face[rows[1]]
     again = replace(sightings, target=target, face=face)
-    assert not again.move[rows[2]].any()
-    assert (again.approach[rows[2]] == again.approach[rows[1]]).all()
-    assert again.approach[rows[1]].all()
+    assert not again.reading_changes[rows[2]].any()
+    assert (again.approach_signs[rows[2]] == again.approach_signs[rows[1]]).all()
+    assert again.approach_signs[rows[1]].all()

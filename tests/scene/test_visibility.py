@@ -7,7 +7,14 @@ from hypothesis import given, strategies as st
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.scene.visibility import Reason, SightLimits, aimed_normals, cone_opening, shadow_radius, visibility
+from ltsim.scene.visibility import (
+    InvisibilityReason,
+    SightLimits,
+    aim_nest_normals,
+    compute_visibility,
+    shadow_cone_opening,
+    shadow_radii,
+)
 
 HEAD = np.array([[0.0, 0.0, 2.0]])
 LIMITS = SightLimits()
@@ -19,115 +26,121 @@ def at(elevation_deg: float, range_: float = 3.0) -> np.ndarray:
     return HEAD + range_ * np.array([[np.cos(e), 0.0, np.sin(e)]])
 
 
-def reason(point: np.ndarray, limits: SightLimits = LIMITS) -> Reason:
-    return Reason(int(visibility(HEAD, point, limits).reason[0, 0]))
+def reason(point: np.ndarray, limits: SightLimits = LIMITS) -> InvisibilityReason:
+    return InvisibilityReason(int(compute_visibility(HEAD, point, limits).reasons[0, 0]))
 
 
 @pytest.mark.parametrize(
     ("elevation", "expected"),
     [
-        (-55.1, Reason.BELOW),
-        (-54.9, Reason.VISIBLE),
-        (0.0, Reason.VISIBLE),
-        (76.9, Reason.VISIBLE),
-        (77.1, Reason.ABOVE),
+        (-55.1, InvisibilityReason.BELOW),
+        (-54.9, InvisibilityReason.VISIBLE),
+        (0.0, InvisibilityReason.VISIBLE),
+        (76.9, InvisibilityReason.VISIBLE),
+        (77.1, InvisibilityReason.ABOVE),
     ],
 )
-def test_elevation_limits(elevation: float, expected: Reason) -> None:
+def test_elevation_limits(elevation: float, expected: InvisibilityReason) -> None:
     assert reason(at(elevation)) == expected
 
 
 def test_range_limits() -> None:
     limits = SightLimits(range_min=1.0, range_max=5.0)
     assert [reason(at(0.0, r), limits) for r in (0.9, 1.1, 4.9, 5.1)] == [
-        Reason.RANGE,
-        Reason.VISIBLE,
-        Reason.VISIBLE,
-        Reason.RANGE,
+        InvisibilityReason.RANGE,
+        InvisibilityReason.VISIBLE,
+        InvisibilityReason.VISIBLE,
+        InvisibilityReason.RANGE,
     ]
 
 
 def test_a_limit_of_minus_55_hides_a_cone_of_70_degrees() -> None:
-    assert cone_opening(-55 * DEGREE) == pytest.approx(70 * DEGREE)
+    assert shadow_cone_opening(-55 * DEGREE) == pytest.approx(70 * DEGREE)
     assert LIMITS.cone_opening == pytest.approx(70 * DEGREE)
-    assert shadow_radius(HEAD, 0.15, LIMITS.cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
-    assert shadow_radius(HEAD, 3.0, LIMITS.cone_opening)[0] == 0.0
+    assert shadow_radii(HEAD, 0.15, LIMITS.cone_opening)[0] == pytest.approx(1.85 * np.tan(35 * DEGREE))
+    assert shadow_radii(HEAD, 3.0, LIMITS.cone_opening)[0] == 0.0
 
 
 def test_an_explicit_opening_keeps_a_wider_cone_free() -> None:
-    wide = SightLimits(opening=110 * DEGREE)
+    wide = SightLimits(declared_cone_opening=110 * DEGREE)
     assert [reason(at(e), wide) for e in (-56.0, -40.0, -36.0, -34.0)] == [
-        Reason.BELOW,
-        Reason.SHADOW,
-        Reason.SHADOW,
-        Reason.VISIBLE,
+        InvisibilityReason.BELOW,
+        InvisibilityReason.SHADOW,
+        InvisibilityReason.SHADOW,
+        InvisibilityReason.VISIBLE,
     ]
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.0, 1.5), st.floats(20, 120))
 def test_shadow_circle_and_table_agree(x: float, y: float, z: float, opening_deg: float) -> None:
-    limits = SightLimits(elevation_min=-90 * DEGREE, opening=opening_deg * DEGREE)
-    radius = shadow_radius(HEAD, z, limits.cone_opening)[0]
+    limits = SightLimits(elevation_min=-90 * DEGREE, declared_cone_opening=opening_deg * DEGREE)
+    radius = shadow_radii(HEAD, z, limits.cone_opening)[0]
     distance = np.hypot(x, y)
     if abs(distance - radius) < 1e-6 or distance < 1e-6:
         return
-    assert (reason(np.array([[x, y, z]]), limits) == Reason.SHADOW) == (distance < radius)
+    assert (reason(np.array([[x, y, z]]), limits) == InvisibilityReason.SHADOW) == (distance < radius)
 
 
 def test_limits_follow_a_leaning_instrument() -> None:
     lean = from_rotation_vector(np.array([[0.0, 10 * DEGREE, 0.0]]))
-    table = visibility(HEAD, at(-50.0), LIMITS, rotation=lean)
-    assert table.elevation[0, 0] == pytest.approx(-40 * DEGREE)
-    assert visibility(HEAD, at(-50.0), LIMITS, rotation=lean.transpose(0, 2, 1)).reason[0, 0] == Reason.BELOW
+    table = compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean)
+    assert table.elevations[0, 0] == pytest.approx(-40 * DEGREE)
+    assert (
+        compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean.transpose(0, 2, 1)).reasons[0, 0]
+        == InvisibilityReason.BELOW
+    )
 
 
 def test_acceptance_of_fixed_nests_only() -> None:
     normal = np.array([[-np.cos(31 * DEGREE), 0.0, np.sin(31 * DEGREE)]])
-    fixed = visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([False]))
-    turned = visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([True]))
-    assert fixed.incidence[0, 0] == pytest.approx(31 * DEGREE)
-    assert fixed.reason[0, 0] == Reason.ACCEPTANCE and turned.visible[0, 0]
+    fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([False]))
+    turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([True]))
+    assert fixed.incidence_angles[0, 0] == pytest.approx(31 * DEGREE)
+    assert fixed.reasons[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
 
 
 def test_unknown_nests_accept_every_beam() -> None:
-    table = visibility(HEAD, at(0.0), LIMITS, nest_normal=np.full((1, 3), np.nan), reaimed=np.array([False]))
-    assert table.visible.all()
+    table = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=np.full((1, 3), np.nan), reaimed=np.array([False]))
+    assert table.is_visible.all()
 
 
 class Wall:
     """Hides everything beyond x = 1; nobody stands at x < -1."""
 
-    def blocked(self, origins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    def is_blocked(self, origins: np.ndarray, ends: np.ndarray) -> np.ndarray:
         assert len(origins) == len(ends)
         return np.asarray((origins[:, 0] < 1) & (ends[:, 0] > 1))
 
     def moved_to_surface(self, points):
         return points
 
-    def encloses(self, points: np.ndarray) -> np.ndarray:
+    def is_enclosed(self, points: np.ndarray) -> np.ndarray:
         return np.asarray(points[:, 0] < -1)
 
 
 def test_obstacles_and_stations_inside_them() -> None:
     stations = np.array([[0.0, 0.0, 2.0], [-2.0, 0.0, 2.0]])
     targets = np.array([[3.0, 0.0, 2.0], [0.0, 3.0, 2.0]])
-    table = visibility(stations, targets, LIMITS, obstacles=Wall())
-    assert table.reason.tolist() == [[Reason.OBSTACLE, Reason.VISIBLE], [Reason.STATION_INSIDE] * 2]
-    assert table.lost(("A", "B"), ("P", "Q"))[0] == "A does not see P: hidden by an obstacle"
-    assert table.words()[0] == ["hidden by an obstacle", ""]
+    table = compute_visibility(stations, targets, LIMITS, obstacles=Wall())
+    assert table.reasons.tolist() == [
+        [InvisibilityReason.OBSTACLE, InvisibilityReason.VISIBLE],
+        [InvisibilityReason.STATION_INSIDE] * 2,
+    ]
+    assert table.invisible_pair_sentences(("A", "B"), ("P", "Q"))[0] == "A does not see P: hidden by an obstacle"
+    assert table.reason_texts()[0] == ["hidden by an obstacle", ""]
 
 
 def test_nonsense_is_refused() -> None:
     with pytest.raises(ModelError, match="origin of a station"):
-        visibility(HEAD, HEAD, LIMITS)
+        compute_visibility(HEAD, HEAD, LIMITS)
     with pytest.raises(ModelError, match="points has shape"):
-        visibility(HEAD, np.zeros((2, 2)), LIMITS)
+        compute_visibility(HEAD, np.zeros((2, 2)), LIMITS)
 
 
 def test_aimed_normals_are_the_axes_of_the_narrowest_cones() -> None:
     rng = np.random.default_rng(5)
     stations, targets = rng.uniform(2, 6, (5, 3)), rng.uniform(-1, 0.5, (6, 3))
-    normal, half = aimed_normals(stations, targets)
+    normal, half = aim_nest_normals(stations, targets)
     back = stations - targets[:, None]
     back /= np.linalg.norm(back, axis=2, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
@@ -140,10 +153,10 @@ def test_aimed_normals_are_the_axes_of_the_narrowest_cones() -> None:
 def test_out_of_range_gives_the_number_the_limit_and_the_key() -> None:
     limits = SightLimits(range_min=1.0, range_max=5.0)
     points = np.array([at(0.0, 5.1)[0], at(0.0, 0.9)[0], at(77.1)[0]]).reshape(-1, 3)
-    table = visibility(HEAD, points, limits)
-    assert table.words()[0] == [
+    table = compute_visibility(HEAD, points, limits)
+    assert table.reason_texts()[0] == [
         "out of range (5.10 m, expected 1 to 5 m: instrument.limits.range_max_mm)",
         "out of range (0.90 m, expected 1 to 5 m: instrument.limits.range_min_mm)",
         "above the elevation limit (77.1 deg, the maximum is 77 deg: instrument.limits.elevation_max_deg)",
     ]
-    assert table.kinds()[0][:2] == ["out of range", "out of range"]
+    assert table.reason_kinds()[0][:2] == ["out of range", "out of range"]

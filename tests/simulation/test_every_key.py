@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from ltsim.core.errors import LtsimError
 from ltsim.recordings.native import write_recording
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 
 HERE = Path("scenario.toml")
@@ -67,7 +67,7 @@ ELSEWHERE = {
     "stations.S2.instrument": "needs a tracker of that name",
 }
 """What a recording does not show, and why."""
-SCENARIO = changed(load_scenario("paper-workshop"), RICH, HERE)
+SCENARIO = change_scenario(load_scenario("paper-workshop"), RICH, HERE)
 
 
 def leaves(model: BaseModel, before: str) -> Iterator[tuple[str, Any, Any]]:
@@ -109,7 +109,7 @@ KEYS = [
 
 def shown(folder: Path, **changes: Any) -> str:
     """All that a recording of the changed scenario says, and the truth behind it."""
-    recording, truth = simulate(changed(SCENARIO, changes, HERE), 5)
+    recording, truth = simulate(change_scenario(SCENARIO, changes, HERE), 5)
     write_recording(recording, folder)
     files = "".join(file.read_text() for file in sorted(folder.iterdir()) if file.is_file())
     return files + repr(truth) + "".join(recording.notes)
@@ -133,7 +133,7 @@ def test_what_a_recording_does_not_show_is_a_key(key: str) -> None:
 
 
 def test_a_setting_that_finds_nothing_to_act_on_is_said() -> None:
-    aimed = changed(SCENARIO, {"smr.nests": "re-aimed", "smr.incidence_error": True}, HERE)
+    aimed = change_scenario(SCENARIO, {"smr.nests": "re-aimed", "smr.incidence_error": True}, HERE)
     assert any("smr-incidence" in note for note in simulate(aimed, 5)[0].notes)
     with pytest.raises(LtsimError, match="is used at no station"):
-        changed(SCENARIO, {"instruments.B": {}}, HERE)
+        change_scenario(SCENARIO, {"instruments.B": {}}, HERE)

@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording
 
@@ -26,7 +26,7 @@ def recording() -> Recording:
 
 def change_of(before: Recording, after: Recording) -> np.ndarray:
     change = after.readings - before.readings
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     return change
 
 
@@ -61,8 +61,8 @@ def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording,
     still = adjust(recording, declared_construction(recording))
     exact = recording.with_readings(still.problem.model.predict(still.state))
     made, truth = lt.inject(exact, cause, noncentrality=200.0, seed=3)
-    before, after = (adjust(r, declared_construction(r), judging=()).chi2 for r in (exact, made))
-    assert truth.causes[0].noncentrality == pytest.approx(200.0, rel=1e-3)
+    before, after = (adjust(r, declared_construction(r), tested_kinds=()).chi2 for r in (exact, made))
+    assert truth.injected_effects[0].noncentrality == pytest.approx(200.0, rel=1e-3)
     assert after - before == pytest.approx(200.0, rel=0.03)
 
 
@@ -71,8 +71,10 @@ def test_noise_is_added_where_it_is_said(recording: Recording) -> None:
     change, there = change_of(recording, made), recording.station == recording.stations.index("S4")
     assert not change[~there].any()
     ratio = change[there] / recording.sigma()[there]
-    assert np.mean(ratio**2) == pytest.approx(np.mean(truth.causes[0].values), rel=0.4)  # added variance over stated
-    assert truth.causes[0].noncentrality == pytest.approx(300.0, rel=1e-3)
+    assert np.mean(ratio**2) == pytest.approx(
+        np.mean(truth.injected_effects[0].parameter_values), rel=0.4
+    )  # added variance over stated
+    assert truth.injected_effects[0].noncentrality == pytest.approx(300.0, rel=1e-3)
 
 
 def test_a_swap_is_a_swap(recording: Recording) -> None:
@@ -82,7 +84,7 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
         t: np.flatnonzero((recording.station == 0) & (recording.target == t) & (recording.face == 1))[0] for t in (a, b)
     }
     gap = made.readings[rows[a]] - recording.readings[rows[b]]
-    assert np.abs([gap[0], *wrap(gap[1:])]).max() < 60e-6
+    assert np.abs([gap[0], *wrap_angle(gap[1:])]).max() < 60e-6
     assert np.abs(change_of(recording, made)[recording.station != 0]).max() < 1e-12
 
 
@@ -98,7 +100,7 @@ def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) ->
     """The moment of a bump at a station that is named lies within its visit."""
     _, truth = lt.inject(recording, "station-bump:S2", noncentrality=200.0, seed=3)
     there = recording.time[recording.station == recording.stations.index("S2")]
-    assert there.min() < truth.causes[0].to_json()["shape"]["time"] < there.max()
+    assert there.min() < truth.injected_effects[0].to_json()["shape"]["time"] < there.max()
 
 
 @pytest.mark.long

@@ -9,11 +9,11 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
-from ltsim.geometry.alignment import best_fit
-from ltsim.physics.model.construction import misalignment
-from ltsim.planning.workshop import survey_of
+from ltsim.geometry.alignment import align_with_scale
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.setup import Target
 from ltsim.simulation.truth import Truth
 
@@ -31,41 +31,45 @@ def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
     stated = lt.read(tmp_path / "rec")
     found = lt.adjust(stated.replace(setup=stated.setup.model_copy(update={"targets": rough})))
     assert "mirror image" not in repr(found)
-    places = dict(zip(found.targets, found.points, strict=True))
+    places = dict(zip(found.target_names, found.target_points, strict=True))
     points = np.array([places[name] for name in truth.target_names])
-    rotation, shift, _ = best_fit(truth.points, points)
-    gap = points - (truth.points @ rotation.T + shift)
+    rotation, shift, _ = align_with_scale(truth.target_points, points)
+    gap = points - (truth.target_points @ rotation.T + shift)
     assert np.sqrt(np.mean(gap**2)) < 30e-6
     assert found.fit.p_value is not None
     assert found.fit.p_value > 0.001
 
 
 def _places(truth: Truth) -> list[tuple[str, np.ndarray]]:
-    return list(zip(truth.target_names, truth.points, strict=True))
+    return list(zip(truth.target_names, truth.target_points, strict=True))
 
 
 def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
     recording, _ = lt.simulate(lt.scenario("paper-workshop", RANGES), seed=3)
     found = lt.calibrate(recording)
     assert "expected error of a new point" not in repr(found)
-    known = dict(zip(found.names, found.sigma[0] / found.prior_sigma[0], strict=True))
+    known = dict(zip(found.instrument_parameter_names, found.sigma[0] / found.prior_sigma[0], strict=True))
     assert known["range-scale"] < 0.999
     assert known["beam-tilt"] == pytest.approx(1.0)
 
 
 def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
-    assert not survey_of(lt.scenario("paper-workshop", RANGES)).is_whole
-    assert truth_of(lt.scenario("paper-workshop", RANGES), 1).recorded.tolist() == [True, False, False]
+    assert not planned_survey(lt.scenario("paper-workshop", RANGES)).records_angles
+    assert make_cell_truth(lt.scenario("paper-workshop", RANGES), 1).recorded_observables.tolist() == [
+        True,
+        False,
+        False,
+    ]
     angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
     with pytest.raises(SetupError, match="or ranges only"):
-        survey_of(angles)
+        planned_survey(angles)
 
 
 def test_a_level_tells_nothing_of_ranges() -> None:
     """Levels tie an axis that no range sees: the network keeps its six free motions, instruments stand upright."""
     levels = {f"stations.S{i}.levelled": True for i in range(1, 6)}
     recording, _ = lt.simulate(lt.scenario("paper-workshop", {**RANGES, **levels}), seed=3)
-    found = adjust(recording, misalignment())
-    assert found.problem.free.shape[1] == 6
-    assert not len(found.problem.levels)
-    np.testing.assert_allclose(found.state.rotation[:, 2, 2], 1.0, atol=1e-9)
+    found = adjust(recording, misalignment_construction())
+    assert found.problem.free_motions.shape[1] == 6
+    assert not len(found.problem.level_rows)
+    np.testing.assert_allclose(found.state.station_rotations[:, 2, 2], 1.0, atol=1e-9)

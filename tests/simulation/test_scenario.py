@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.simulation.builtin import builtin_names, builtin_text
-from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import PAPER_PRIOR, PRESETS
 
@@ -143,7 +143,7 @@ def test_unknown_names_are_refused_with_the_closest() -> None:
 def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
     text = MINIMAL + "[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n"
     with pytest.raises(SetupError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
-        fieldwork(load_scenario(write(text)), 1)
+        make_geometry(load_scenario(write(text)), 1)
 
 
 def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
     scenario = load_scenario(path)
     assert scenario.workshop.obstacles[0].file == str(tmp_path / "press.stl")
     with pytest.raises(SetupError, match=r"press\.stl: cannot be read"):
-        fieldwork(scenario, 1)
+        make_geometry(scenario, 1)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
 )
 def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:
     with pytest.raises(SetupError, match=re.escape(says)):
-        fieldwork(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
+        make_geometry(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
 
 
 def test_effects_as_objects_are_those_of_a_file() -> None:
@@ -184,12 +184,12 @@ def test_effects_as_objects_are_those_of_a_file() -> None:
     for given in ([drift], drift):
         recording, truth = lt.simulate("paper-workshop", seed=7, changes={"effects": given})
         assert np.array_equal(recording.readings, by_table.recording.readings)
-        assert truth.applied[0].effect == drift
+        assert truth.applied_effects[0].effect == drift
     by_name, by_list = (
         lt.simulate("paper-workshop", seed=7, changes={"effects": e}) for e in ("heat-plume", ["heat-plume"])
     )
     assert np.array_equal(by_name.recording.readings, by_list.recording.readings)
-    assert by_name.truth.applied[0].effect.name == "heat-plume"
+    assert by_name.truth.applied_effects[0].effect.name == "heat-plume"
 
     sized = lt.Effect("index-drift", stations="S3", index_drift=60.0)
     entry = {"name": "index-drift", "stations": ["S3"], "values": {"index-drift": 60.0}}

@@ -11,11 +11,11 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
-from ltsim.planning.workshop import survey_of
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import read_truth, write_truth
 
@@ -25,47 +25,49 @@ TWO = load_scenario("two-trackers")
 
 def two(**changes: Any) -> Scenario:
     """The hall of two trackers with some values changed, by dotted key with ``__`` for the dot."""
-    return changed(TWO, {key.replace("__", "."): value for key, value in changes.items()}, Path("two.toml"))
+    return change_scenario(TWO, {key.replace("__", "."): value for key, value in changes.items()}, Path("two.toml"))
 
 
 def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_of_it() -> None:
     alone, truth = simulate(PAPER, 7)
     prior = PAPER.instrument.prior
-    for p in misalignment().parameters:
-        assert truth.instrument[p.name] == p.sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
+    for p in misalignment_construction().parameters:
+        assert (
+            truth.instrument_values[p.name] == p.sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
+        )
     second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
-    beside, both = simulate(changed(PAPER, second, Path("paper.toml")), 7)
+    beside, both = simulate(change_scenario(PAPER, second, Path("paper.toml")), 7)
     own = alone.station != alone.stations.index("S5")
     assert beside.readings[own].tobytes() == alone.readings[own].tobytes()
     assert beside.readings[~own].tobytes() != alone.readings[~own].tobytes()
-    assert {name: both.instrument[name] for name in truth.instrument} == truth.instrument
-    tilt = next(p for p in misalignment().parameters if p.name == "beam-tilt")
+    assert {name: both.instrument_values[name] for name in truth.instrument_values} == truth.instrument_values
+    tilt = next(p for p in misalignment_construction().parameters if p.name == "beam-tilt")
     draw = stream(7, "instrument", "B", "beam-tilt").standard_normal()
-    assert both.instrument["beam-tilt@B"] == tilt.sigma_from(prior) * draw
+    assert both.instrument_values["beam-tilt@B"] == tilt.sigma_from(prior) * draw
 
 
 def test_a_tracker_with_a_name_measures_as_one_without() -> None:
     stated = {"errors": {"beam-tilt": 7.0, "range-offset": -20.0}, "noise_factor": 1.5}
-    plain = changed(PAPER, {"instrument": stated}, Path("paper.toml"))
+    plain = change_scenario(PAPER, {"instrument": stated}, Path("paper.toml"))
     stations = {f"stations.{name}.instrument": "A" for name in PAPER.stations}
-    named = changed(PAPER, {"instrument": "none", "instruments.A": stated, **stations}, Path("paper.toml"))
+    named = change_scenario(PAPER, {"instrument": "none", "instruments.A": stated, **stations}, Path("paper.toml"))
     (one, first), (other, second) = simulate(plain, 2), simulate(named, 2)
     assert one.readings.tobytes() == other.readings.tobytes()
-    assert first.instrument == second.instrument and other.instruments == ("A",)
+    assert first.instrument_values == second.instrument_values and other.instruments == ("A",)
     assert second.instruments[0].noise_factor == 1.5
 
 
 def test_each_tracker_has_noise_resolution_and_errors_of_its_own() -> None:
     quiet = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
     loud = {"noise_factor": 2.0, "errors": {"range-offset": 300.0}, "resolution": {"distance_um": 100.0}}
-    work = fieldwork(two(instruments__A=quiet, instruments__B=loud), 1)
+    work = make_geometry(two(instruments__A=quiet, instruments__B=loud), 1)
     recording, truth = lt.simulate(work.scenario, seed=1)
     gap = recording.readings[:, 0] - work.sightings.range_
     at_b = np.array(recording.instruments)[recording.instrument] == "B"
     assert np.abs(gap[~at_b]).max() < 1e-12
     steps = recording.readings[at_b, 0] / 100e-6
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
-    assert truth.instrument["range-offset@B"] == 300e-6
+    assert truth.instrument_values["range-offset@B"] == 300e-6
     assert abs(np.mean(gap[at_b]) + 300e-6) < 20e-6
 
 
@@ -92,7 +94,7 @@ def test_recording_and_truth_say_which_tracker_stood_where(tmp_path: Path) -> No
     back = read_truth(tmp_path / "truth.json")
     assert back.instruments == truth.instruments
     assert [t.stations for t in back.instruments] == [("S1", "S3"), ("S2", "S4")]
-    assert back.instrument == pytest.approx(truth.instrument) and back.units == truth.units
+    assert back.instrument_values == pytest.approx(truth.instrument_values) and back.units == truth.units
 
 
 def test_the_scenario_survives_its_file(tmp_path: Path) -> None:
@@ -105,8 +107,13 @@ def test_the_scenario_survives_its_file(tmp_path: Path) -> None:
 def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -> None:
     recording, truth = lt.simulate("two-trackers", seed=3)
     found = lt.calibrate(recording)
-    assert found.names[0] == "range-offset@A" and found.names[-1] == "elevation-second-order-sin@B"
-    z = (found.values.ravel() - [truth.instrument[name] for name in found.names]) / found.sigma.ravel()
+    assert (
+        found.instrument_parameter_names[0] == "range-offset@A"
+        and found.instrument_parameter_names[-1] == "elevation-second-order-sin@B"
+    )
+    z = (
+        found.estimates.ravel() - [truth.instrument_values[name] for name in found.instrument_parameter_names]
+    ) / found.sigma.ravel()
     assert np.abs(z).max() < 4 and 0.4 < np.mean(z**2) < 1.8
     corrected = lt.correct(recording, found)
     assert all(corrected.instrument_of(name).corrected for name in corrected.stations)
@@ -127,7 +134,7 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
 )
 def test_wrong_input_gets_one_sentence(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(SetupError, match=message) as caught:
-        simulate(changed(TWO, changes, Path("two.toml")), 1)
+        simulate(change_scenario(TWO, changes, Path("two.toml")), 1)
     assert "\n" not in str(caught.value)
 
 
@@ -135,9 +142,9 @@ def test_stations_name_trackers_only_where_there_are_some() -> None:
     table = PAPER.model_dump(mode="json", by_alias=True, exclude_none=True)
     table["stations"]["S2"]["instrument"] = "A"
     with pytest.raises(SetupError, match="names 'A', which is not declared"):
-        scenario_from(table, Path("paper.toml"))
+        validate_scenario(table, Path("paper.toml"))
 
 
 def test_a_plan_is_for_one_tracker() -> None:
     with pytest.raises(SetupError, match="a plan needs one, in the table"):
-        survey_of(TWO)
+        planned_survey(TWO)

@@ -11,14 +11,14 @@ from scipy.stats import chi2
 from ltsim.adjustment import adjust
 from ltsim.core.errors import SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.geometry.polar import to_polar, wrap
+from ltsim.geometry.polar import to_polar, wrap_angle
 from ltsim.physics.effects import CATALOGUE, Effect, find_effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
-from ltsim.simulation.simulator import exact_readings, measure, simulate
+from ltsim.simulation.simulator import exact_readings, measure_trial, simulate
 from ltsim.simulation.truth import Truth
 
 PAPER = load_scenario("paper-workshop-re-aimed")
@@ -36,14 +36,14 @@ def with_(scenario: Scenario, **sections: Mapping[str, Any] | list[dict[str, Any
 
 def ideal(recording: Recording, truth: Truth) -> np.ndarray:
     """Front-face polar coordinates of every pointing's target, by the truth alone."""
-    offset = truth.points[recording.target] - truth.position[recording.station]
-    return to_polar(np.einsum("nji,nj->ni", truth.rotation[recording.station], offset))
+    offset = truth.target_points[recording.target] - truth.station_positions[recording.station]
+    return to_polar(np.einsum("nji,nj->ni", truth.station_rotations[recording.station], offset))
 
 
 def test_without_noise_and_errors_readings_are_the_polar_coordinates() -> None:
     recording, truth = simulate(with_(PAPER, instrument=SILENT), 5)
     np.testing.assert_allclose(recording.readings, ideal(recording, truth), rtol=0, atol=1e-14)
-    assert not any(truth.instrument.values())
+    assert not any(truth.instrument_values.values())
 
 
 @pytest.mark.parametrize("order", ["per-target", "per-station"])
@@ -56,7 +56,7 @@ def test_face_pairs_differ_by_half_a_turn(order: str) -> None:
     one = recording.readings[[front[k] for k in front]]
     two = recording.readings[[back[k] for k in front]]
     np.testing.assert_allclose(two[:, 0], one[:, 0], atol=1e-14)
-    np.testing.assert_allclose(np.abs(wrap(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
+    np.testing.assert_allclose(np.abs(wrap_angle(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
     np.testing.assert_allclose(two[:, 2] + one[:, 2], np.pi, atol=1e-14)
 
 
@@ -69,33 +69,35 @@ def test_face_order_per_target_and_per_station() -> None:
 
 
 def test_the_instrument_is_exact_in_both_directions() -> None:
-    work = fieldwork(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
-    values = np.array([{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.names])
+    work = make_geometry(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
+    values = np.array(
+        [{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.parameter_names]
+    )
     readings = exact_readings(work, values[None], ())
     point = work.construction.point(readings, values)
-    np.testing.assert_allclose(point, work.sightings.local, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(point, work.sightings.local_points, rtol=0, atol=1e-12)
 
 
 def test_stated_errors_are_the_true_ones() -> None:
     _, truth = simulate(with_(PAPER, instrument={"errors": {"beam-tilt": 5.0, "range-scale": -1.5}}), 1)
-    assert truth.instrument["beam-tilt"] == pytest.approx(5e-6)
-    assert truth.instrument["range-scale"] == pytest.approx(-1.5e-6)
-    assert sum(v != 0 for v in truth.instrument.values()) == 2
+    assert truth.instrument_values["beam-tilt"] == pytest.approx(5e-6)
+    assert truth.instrument_values["range-scale"] == pytest.approx(-1.5e-6)
+    assert sum(v != 0 for v in truth.instrument_values.values()) == 2
 
 
 def test_dh_has_its_own_errors() -> None:
     recording, truth = simulate(with_(PAPER, instrument={"construction": "dh", "harmonics": 1, "degree": 1}), 1)
-    assert truth.construction == "dh" and len(truth.instrument) == 48
+    assert truth.construction == "dh" and len(truth.instrument_values) == 48
     assert np.isfinite(recording.readings).all()
 
 
 def test_noise_has_the_stated_size_whatever_the_place() -> None:
     scenario = with_(TWO_FACE, instrument={"resolution": SILENT["resolution"]})
-    work, z = fieldwork(scenario, 8), []
+    work, z = make_geometry(scenario, 8), []
     for trial in range(60):
-        recording, truth = measure(work, 8, trial)
-        gap = recording.readings - exact_readings(work, np.array([list(truth.instrument.values())]), ())
-        gap[:, 1] = wrap(gap[:, 1])
+        recording, truth = measure_trial(work, 8, trial)
+        gap = recording.readings - exact_readings(work, np.array([list(truth.instrument_values.values())]), ())
+        gap[:, 1] = wrap_angle(gap[:, 1])
         z.append(gap / recording.sigma())
     square = np.square(np.concatenate(z)).sum(axis=0)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 60 * len(recording))
@@ -114,7 +116,9 @@ def test_seeds_give_different_recordings_and_one_seed_the_same() -> None:
     assert one[0].setup == again[0].setup
     assert np.all(one[0].readings != other[0].readings)
     assert not np.array_equal(one[0].target, other[0].target)
-    assert np.all(one[1].points != other[1].points) and np.all(one[1].position != other[1].position)
+    assert np.all(one[1].target_points != other[1].target_points) and np.all(
+        one[1].station_positions != other[1].station_positions
+    )
     assert one[0].setup.gauge != other[0].setup.gauge
 
 
@@ -124,9 +128,9 @@ EFFECT = [{"name": "station-settling", "stations": ["S3"], "draw": True}]
 def test_an_effect_changes_no_other_draw() -> None:
     plain, truth = simulate(PAPER, 4)
     more, other = simulate(with_(PAPER, effects=EFFECT), 4)
-    assert truth.instrument == other.instrument
-    np.testing.assert_array_equal(truth.points, other.points)
-    np.testing.assert_array_equal(truth.rotation, other.rotation)
+    assert truth.instrument_values == other.instrument_values
+    np.testing.assert_array_equal(truth.target_points, other.target_points)
+    np.testing.assert_array_equal(truth.station_rotations, other.station_rotations)
     np.testing.assert_array_equal(plain.target, more.target)
     np.testing.assert_array_equal(plain.time, more.time)
     assert plain.setup == more.setup
@@ -138,22 +142,22 @@ def test_an_effect_changes_no_other_draw() -> None:
 
 def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
     second = [{"name": "range-cyclic", "draw": True}, *EFFECT, {"name": "range-cyclic", "draw": True}]
-    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied
-    three = simulate(with_(PAPER, effects=second), 4)[1].applied
-    np.testing.assert_array_equal(one[0].values, three[1].values)
-    assert np.all(one[0].values != 0) and np.all(three[0].values != three[2].values)
+    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied_effects
+    three = simulate(with_(PAPER, effects=second), 4)[1].applied_effects
+    np.testing.assert_array_equal(one[0].parameter_values, three[1].parameter_values)
+    assert np.all(one[0].parameter_values != 0) and np.all(three[0].parameter_values != three[2].parameter_values)
 
 
 def test_an_effect_adds_exactly_its_shift() -> None:
     silent = {**SILENT, "errors": {}}
     entry = [{"name": "range-cyclic", "values": {}, "shape": {"wavelength": 300.0}}]
-    probe = simulate(with_(PAPER, effects=entry), 6)[1].applied[0].effect
+    probe = simulate(with_(PAPER, effects=entry), 6)[1].applied_effects[0].effect
     name = probe.parameters[0].name
     entry[0]["values"] = {name: 4.0}
     plain, _ = simulate(with_(PAPER, instrument=silent), 6)
     more, truth = simulate(with_(PAPER, instrument=silent, effects=entry), 6)
-    work = fieldwork(PAPER, 6)
-    shift = truth.applied[0].effect.shift(work.sightings, truth.applied[0].values)
+    work = make_geometry(PAPER, 6)
+    shift = truth.applied_effects[0].effect.reading_change(work.sightings, truth.applied_effects[0].parameter_values)
     np.testing.assert_allclose(more.readings - plain.readings, shift, atol=1e-14)
     assert np.abs(shift[:, 0]).max() == pytest.approx(4e-6, rel=0.05)
 
@@ -182,7 +186,7 @@ def test_every_effect_of_the_catalogue_can_be_simulated_and_its_truth_kept(kind:
     places = {"station": {"stations": ["S2"]}, "target": {"targets": ["T03"]}}.get(kind.scope, {})
     recording, truth = simulate(with_(PAPER, effects=[{"name": kind.name, "draw": True, **places}]), 1)
     assert np.isfinite(recording.readings).all()
-    assert Truth.model_validate(json.loads(truth.text())).applied[0].effect == truth.applied[0].effect
+    assert Truth.model_validate(json.loads(truth.text())).applied_effects[0].effect == truth.applied_effects[0].effect
 
 
 def test_wrong_gauge_scale_shows_in_the_certificate_only() -> None:
@@ -210,8 +214,8 @@ def test_swapped_reflectors_carry_the_errors_of_the_pointings_that_were_made() -
     a, b = (wrong.targets.index(name) for name in targets)
     here = (wrong.station == wrong.stations.index("S2")) & np.isin(wrong.target, (a, b))
     mended = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
-    assert adjust(mended, misalignment()).p_value > 1e-3
-    assert adjust(wrong, misalignment()).gross[here].all()
+    assert adjust(mended, misalignment_construction()).p_value > 1e-3
+    assert adjust(wrong, misalignment_construction()).is_gross_pointing[here].all()
 
 
 def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
@@ -220,30 +224,30 @@ def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
     here = wrong.station == wrong.stations.index("S2")
     assert np.all(np.abs(wrong.readings[here, 2]) < np.pi / 2)
     mended = wrong.replace(face=np.where(here, 1, wrong.face))
-    assert adjust(mended, misalignment()).p_value > 1e-3
+    assert adjust(mended, misalignment_construction()).p_value > 1e-3
 
 
 def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> None:
     recording, truth = simulate(with_(PAPER, cmm={"noise_factor": 0.0}), 6)
     assert recording.setup.gauge is not None
     for line in recording.setup.gauge.distance:
-        a, b = (truth.points[truth.target_names.index(name)] for name in (line.from_, line.to))
+        a, b = (truth.target_points[truth.target_names.index(name)] for name in (line.from_, line.to))
         assert np.linalg.norm(a - b) * 1e3 == pytest.approx(line.length_mm * (1 + 23.2e-6 * 7), abs=1e-4)
 
 
 def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> None:
     workshop, laboratory = (simulate(load_scenario(n), 9)[1] for n in ("paper-workshop", "paper-laboratory"))
-    assert workshop.instrument == laboratory.instrument
-    assert laboratory.arrays.nominal is not None and workshop.nominal is None
-    assert 0.1e-6 < np.abs(laboratory.arrays.nominal - laboratory.points).max() < 8e-6
+    assert workshop.instrument_values == laboratory.instrument_values
+    assert laboratory.arrays.nominal_points is not None and workshop.nominal is None
+    assert 0.1e-6 < np.abs(laboratory.arrays.nominal_points - laboratory.target_points).max() < 8e-6
 
 
 def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
-    work = fieldwork(PAPER, 1)
-    (one, first), (two, second) = measure(work, 1, 0), measure(work, 1, 1)
-    np.testing.assert_array_equal(first.points, second.points)
+    work = make_geometry(PAPER, 1)
+    (one, first), (two, second) = measure_trial(work, 1, 0), measure_trial(work, 1, 1)
+    np.testing.assert_array_equal(first.target_points, second.target_points)
     np.testing.assert_array_equal(one.target, two.target)
-    assert all(first.instrument[n] != second.instrument[n] for n in first.instrument)
+    assert all(first.instrument_values[n] != second.instrument_values[n] for n in first.instrument_values)
     assert np.mean(one.readings != two.readings) > 0.98  # a few round to the same step
 
 
@@ -251,7 +255,7 @@ def test_orders_of_the_work() -> None:
     listed, _ = simulate(with_(PAPER, work={"order": "as-listed"}), 1)
     assert listed.target[:28].tolist() == list(range(28))
     levels, truth = simulate(with_(PAPER, work={"order": "level-by-level"}), 1)
-    heights = truth.points[levels.target[:28], 2]
+    heights = truth.target_points[levels.target[:28], 2]
     assert np.all(np.diff(np.round(heights)) <= 0) and heights[0] > 5 and heights[-1] < 1
     mixed, _ = simulate(PAPER, 1)
     visits = mixed.target.reshape(5, 28)
@@ -274,7 +278,7 @@ def test_the_set_up_knows_the_plan_and_not_the_truth() -> None:
     for i, name in enumerate(recording.stations):
         known = recording.setup.stations[name]
         assert known.position_mm is not None and all(x % 100 == 0 for x in known.position_mm)
-        assert 1 < np.linalg.norm(np.array(known.position_mm) - truth.position[i] * 1e3) < 200
+        assert 1 < np.linalg.norm(np.array(known.position_mm) - truth.station_positions[i] * 1e3) < 200
         assert known.yaw_deg == PAPER.stations[name].yaw_deg
     assert all(t.known_mm is None and t.approximate_mm is None for t in recording.setup.targets.values())
     assert recording.setup.instrument.prior == PAPER.instrument.prior
@@ -283,7 +287,7 @@ def test_the_set_up_knows_the_plan_and_not_the_truth() -> None:
 def test_a_levelled_station_leans_as_little_as_its_level_says() -> None:
     stations = {name: {**s.model_dump(), "levelled": True} for name, s in PAPER.stations.items()}
     scenario = with_(PAPER, stations=stations)
-    lean = [fieldwork(scenario, seed).layout.rotation[:, 2, :2] for seed in range(60)]
+    lean = [make_geometry(scenario, seed).layout.station_rotations[:, 2, :2] for seed in range(60)]
     assert np.std(lean) / ARCSECOND == pytest.approx(1.0, rel=0.15)
 
 
@@ -292,7 +296,7 @@ def test_recordings_survive_being_written(tmp_path: Any) -> None:
     write_recording(recording, tmp_path / "rec")
     again = read_recording(tmp_path / "rec")
     gap = again.readings - recording.readings
-    gap[:, 1] = wrap(gap[:, 1])
+    gap[:, 1] = wrap_angle(gap[:, 1])
     assert np.abs(gap).max() < 1e-12
     assert again.setup == recording.setup
     assert again.stations == recording.stations and np.array_equal(again.face, recording.face)

@@ -28,33 +28,33 @@ def test_round_trip(truth: Truth, tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
     write_truth(truth, path)
     again = read_truth(path)
-    for name in ("position", "rotation", "points"):
+    for name in ("station_positions", "station_rotations", "target_points"):
         np.testing.assert_allclose(getattr(again, name), getattr(truth, name), rtol=0, atol=1e-14)
-    assert again.instrument == pytest.approx(truth.instrument, rel=1e-14)
+    assert again.instrument_values == pytest.approx(truth.instrument_values, rel=1e-14)
     assert (again.stations, again.targets, again.units) == (truth.stations, truth.targets, truth.units)
     assert [a.name for a in again.effects] == ["station-settling", "azimuth-harmonic", "smr-incidence"]
-    for one, other in zip(again.applied, truth.applied, strict=True):
+    for one, other in zip(again.applied_effects, truth.applied_effects, strict=True):
         assert one.effect == other.effect
-        np.testing.assert_allclose(one.values, other.values, rtol=1e-14)
+        np.testing.assert_allclose(one.parameter_values, other.parameter_values, rtol=1e-14)
 
 
 def test_display_units_in_the_file(truth: Truth) -> None:
     content = truth.content()
     tilt = next(p for p in content["parameters"] if p["name"] == "beam-tilt")
-    assert tilt["unit"] == "urad" and tilt["value"] == pytest.approx(truth.instrument["beam-tilt"] * 1e6)
+    assert tilt["unit"] == "urad" and tilt["value"] == pytest.approx(truth.instrument_values["beam-tilt"] * 1e6)
     assert content["effects"][0]["shape"]["time_constant"] == pytest.approx(9.0)
-    assert truth.applied[0].effect.time_constant == pytest.approx(540.0)  # type: ignore[attr-defined]
+    assert truth.applied_effects[0].effect.time_constant == pytest.approx(540.0)  # type: ignore[attr-defined]
 
 
 def test_nominal_points_are_what_verification_reads(tmp_path: Path) -> None:
     _, truth = simulate(load_scenario("paper-laboratory"), 3)
-    nominal = truth.arrays.nominal
+    nominal = truth.arrays.nominal_points
     assert nominal is not None
     path = tmp_path / "nominal.csv"
     path.write_text(nominal_csv(truth))
     read = read_nominal(path)
     np.testing.assert_allclose([read[name] for name in truth.target_names], nominal, atol=0.6e-7)
-    again = Truth.model_validate(truth.content()).arrays.nominal
+    again = Truth.model_validate(truth.content()).arrays.nominal_points
     assert again is not None
     np.testing.assert_allclose(again, nominal, atol=1e-14)
 

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.solve.absolute import least_absolute
+from ltsim.solve.absolute import solve_least_absolute
 
 
 def program(design: Floats, goal: Floats) -> Floats:
@@ -26,7 +26,7 @@ def program(design: Floats, goal: Floats) -> Floats:
 def test_solution_is_that_of_the_linear_program(seed: int) -> None:
     draw = stream(seed, "rows")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
-    assert least_absolute(design, goal) == pytest.approx(program(design, goal), abs=1e-5)
+    assert solve_least_absolute(design, goal) == pytest.approx(program(design, goal), abs=1e-5)
 
 
 def test_rows_that_hang_together() -> None:
@@ -37,7 +37,7 @@ def test_rows_that_hang_together() -> None:
     first, second = np.triu_indices(5, k=1)
     rows = (design[:, first] - design[:, second]).reshape(-1, 3)
     gap = (goal[:, first] - goal[:, second]).ravel()
-    ours, theirs = (np.abs(gap - rows @ x).sum() for x in (least_absolute(rows, gap), program(rows, gap)))
+    ours, theirs = (np.abs(gap - rows @ x).sum() for x in (solve_least_absolute(rows, gap), program(rows, gap)))
     assert ours == pytest.approx(theirs, rel=1e-6)
 
 
@@ -46,12 +46,12 @@ def test_outliers_take_nothing() -> None:
     design, x = draw.standard_normal((200, 3)), np.array([1.0, -2.0, 3.0])
     goal = design @ x
     goal[::10] += 100.0
-    assert least_absolute(design, goal) == pytest.approx(x, abs=1e-6)
+    assert solve_least_absolute(design, goal) == pytest.approx(x, abs=1e-6)
 
 
 def test_a_start_changes_nothing() -> None:
     draw = stream(9, "start")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
-    found = least_absolute(design, goal)
-    assert least_absolute(design, goal, near=found + 0.3) == pytest.approx(found, abs=1e-12)
-    assert np.array_equal(least_absolute(design, np.zeros(150)), np.zeros(4))
+    found = solve_least_absolute(design, goal)
+    assert solve_least_absolute(design, goal, start=found + 0.3) == pytest.approx(found, abs=1e-12)
+    assert np.array_equal(solve_least_absolute(design, np.zeros(150)), np.zeros(4))

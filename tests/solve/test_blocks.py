@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.gauss_newton import Status, solve
+from ltsim.solve.gauss_newton import TerminationStatus, solve
 
 
 def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSystem, np.ndarray]:
@@ -30,7 +30,7 @@ def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     factor = BlockFactor(replace(system, design=kind(dense)))
     scale = 1 / np.linalg.norm(dense, axis=0)
     inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
-    np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.residual, rtol=1e-8)
+    np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.whitened_residuals, rtol=1e-8)
     np.testing.assert_allclose(factor.reduced_covariance(), inverse[:7, :7], rtol=1e-8)
     for e, block in enumerate(factor.block_covariance()):
         at = slice(7 + 3 * e, 10 + 3 * e)
@@ -48,7 +48,7 @@ def test_undetermined_unknowns_are_refused_whatever_their_unit(kind):
     for unit in (1e-9, 1.0, 1e9):
         dense[:, 0] = unit * dense[:, 1]
         with pytest.raises(SingularSystemError):
-            BlockFactor(BlockSystem(kind(dense), system.residual, 7))
+            BlockFactor(BlockSystem(kind(dense), system.whitened_residuals, 7))
 
 
 class Valley:
@@ -69,15 +69,15 @@ class Valley:
 
 
 def test_the_loop_finds_the_bottom_of_a_bent_valley():
-    solution = solve(Valley(10.0), np.array([-1.2, 1.0]), cap=200)
-    assert solution.status is Status.CONVERGED
+    solution = solve(Valley(10.0), np.array([-1.2, 1.0]), max_iterations=200)
+    assert solution.status is TerminationStatus.CONVERGED
     np.testing.assert_allclose(solution.x, [1.0, 1.0], atol=1e-6)
 
 
 def test_the_cap_is_a_status_and_not_an_endless_loop():
-    solution = solve(Valley(1e4), np.array([-1.2, 1.0]), cap=2)
-    assert solution.status is Status.CAPPED
-    assert solution.iterations == 2
+    solution = solve(Valley(1e4), np.array([-1.2, 1.0]), max_iterations=2)
+    assert solution.status is TerminationStatus.MAX_ITERATIONS_REACHED
+    assert solution.n_iterations == 2
 
 
 class Bent:
@@ -105,11 +105,11 @@ class Bent:
 def test_a_next_step_that_would_be_nothing_is_not_looked_at():
     problem = Bent()
     solution = solve(problem, np.zeros(2))
-    assert (solution.status, solution.iterations, problem.looks) == (Status.CONVERGED, 2, 0)
+    assert (solution.status, solution.n_iterations, problem.looks) == (TerminationStatus.CONVERGED, 2, 0)
     there = problem.linearise(solution.x)
     assert np.linalg.norm(there.design @ BlockFactor(there).step()) < 1e-6
-    np.testing.assert_allclose(solution.system.residual, there.residual, atol=1e-6)
-    assert solution.cost == pytest.approx(there.cost, rel=1e-9)
+    np.testing.assert_allclose(solution.system.whitened_residuals, there.whitened_residuals, atol=1e-6)
+    assert solution.sum_of_squares == pytest.approx(there.sum_of_squares, rel=1e-9)
 
 
 class Coarse:
@@ -133,8 +133,8 @@ class Coarse:
 
 def test_steps_of_rounding_errors_end_the_loop():
     solution = solve(Coarse(2e-4), np.array([40.0, -10.0]))
-    assert solution.status is Status.CONVERGED
-    assert solution.iterations < 8
+    assert solution.status is TerminationStatus.CONVERGED
+    assert solution.n_iterations < 8
     np.testing.assert_allclose(solution.x, [0, 3], atol=0.2)
 
 
@@ -144,6 +144,6 @@ def test_short_steps_under_heavy_damping_are_no_convergence():
 
         def linearise(self, x):
             system = super().linearise(x)
-            return BlockSystem(-1.0 * system.design, system.residual, 2)
+            return BlockSystem(-1.0 * system.design, system.whitened_residuals, 2)
 
-    assert solve(Wall(10.0), np.array([-1.2, 1.0]), cap=60).status is not Status.CONVERGED
+    assert solve(Wall(10.0), np.array([-1.2, 1.0]), max_iterations=60).status is not TerminationStatus.CONVERGED

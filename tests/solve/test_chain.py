@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChain, arrange
+from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChain, arrange_as_chain
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -40,7 +40,7 @@ def ring(stations: int, shared: int, *, closed: bool = True, seed: int = 0) -> t
 def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, closed):
     design, kept = ring(90, shared, closed=closed)
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
-    assert sparse._chain.count > 2
+    assert sparse._schur_factor.n_blocks > 2
     right = stream(1, "right").standard_normal((design.shape[1], 2))
     np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(sparse.reduced_inverse, dense.reduced_inverse, rtol=1e-7, atol=1e-9)
@@ -53,7 +53,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
 def test_sets_that_are_far_apart_are_answered_too():
     design, kept = ring(90, 0)
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
-    block_of = sparse._chain.block_of
+    block_of = sparse._schur_factor.block_of_column
     far = np.array([[int(np.argmin(block_of)), int(np.argmax(block_of))]])
     np.testing.assert_allclose(sparse.inverse_of_sets(far), dense.inverse_of_sets(far), rtol=1e-7, atol=1e-9)
 
@@ -72,7 +72,7 @@ def test_a_matrix_without_a_narrow_order_is_one_block():
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
     chain = BlockChain(sp.csr_array(matrix))
-    assert chain.count == 1
+    assert chain.n_blocks == 1
     np.testing.assert_allclose(chain.inverse(), np.linalg.inv(matrix), rtol=1e-8, atol=1e-12)
 
 
@@ -81,7 +81,7 @@ def test_the_order_of_a_shuffled_band_is_narrow_again():
     size = 1000
     band = sp.diags_array([np.ones(size - abs(k)) for k in range(-4, 5)], offsets=range(-4, 5)).tocsr()
     shuffle = rng.permutation(size)
-    order, edges = arrange(sp.csr_array(band[shuffle][:, shuffle]))
+    order, edges = arrange_as_chain(sp.csr_array(band[shuffle][:, shuffle]))
     assert len(edges) > 15
     assert sorted(order.tolist()) == list(range(size))
 
@@ -99,5 +99,7 @@ def test_entries_that_are_stored_as_zero_ask_for_nothing():
     assert stored.nnz > np.count_nonzero(design)
     dense, sparse = DenseElimination(design, kept, 0.3), SparseElimination(stored, kept, 0.3)
     edges = np.arange(0, len(design) + 1, 3)
-    for ours, theirs in zip(sparse.forms(stored, edges), dense.forms(stored, edges), strict=True):
+    for ours, theirs in zip(
+        sparse.covariances_of_functions(stored, edges), dense.covariances_of_functions(stored, edges), strict=True
+    ):
         np.testing.assert_allclose(ours, theirs, atol=1e-12)

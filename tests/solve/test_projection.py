@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
 from ltsim.solve.elimination import BlockFactor, BlockSystem
-from ltsim.solve.projection import BasisProjection, FactorProjection, projection_of
+from ltsim.solve.projection import BasisProjection, FactorProjection, make_projection
 
 KEPT, BLOCKS, ROWS = 320, 130, 2600
 
@@ -29,11 +29,11 @@ def chained(seed: int = 1) -> BlockSystem:
 
 SYSTEM = chained()
 ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
-BASIS = BasisProjection.of(SYSTEM.design)
-SPARSE = FactorProjection.of(SYSTEM.design, BlockFactor(SYSTEM))
+BASIS = BasisProjection.from_design(SYSTEM.design)
+SPARSE = FactorProjection.from_design(SYSTEM.design, BlockFactor(SYSTEM))
 EXTRA = np.linalg.qr(BASIS.project(stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
 PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
-PAIRS += [(p.extended(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
+PAIRS += [(p.with_removed_columns(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
 NAMES = ["basis", "factor", "basis extended", "factor extended"]
 
 
@@ -51,7 +51,7 @@ def test_products_of_what_is_left_are_those_of_projected_vectors(projection, roo
     vectors = np.zeros((len(root), 5))
     vectors[rows] = stream(4, "columns").standard_normal(vectors[rows].shape)
     left = vectors - root @ (root.T @ vectors)
-    grams = projection.grams(vectors[rows], np.array([0, 2, 5]), rows)
+    grams = projection.gram_matrices(vectors[rows], np.array([0, 2, 5]), rows)
     for gram, part in zip(grams, (slice(2), slice(2, 5)), strict=True):
         np.testing.assert_allclose(gram, left[:, part].T @ left[:, part], rtol=1e-9, atol=1e-9)
 
@@ -67,14 +67,16 @@ def test_products_of_what_is_left_are_those_of_projected_vectors(projection, roo
     ids=["few rows", "scattered", "more rows than unknowns"],
 )
 def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups):
-    for rows, (values, vectors) in zip(groups, projection.spectra(groups), strict=True):
+    for rows, (values, vectors) in zip(groups, projection.hat_matrix_spectra(groups), strict=True):
         np.testing.assert_allclose(vectors.T @ vectors, np.eye(len(values)), atol=1e-6)
         np.testing.assert_allclose((vectors * values) @ vectors.T, root[rows] @ root[rows].T, atol=1e-9)
 
 
 def test_a_small_system_or_one_without_factor_gets_a_basis():
-    assert isinstance(projection_of(SYSTEM, None), BasisProjection)
-    small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.n_reduced)
-    assert isinstance(projection_of(small, BlockFactor(small)), BasisProjection)
-    tall = BlockSystem(sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.residual, 3), SYSTEM.n_reduced)
-    assert isinstance(projection_of(tall, BlockFactor(tall)), FactorProjection)
+    assert isinstance(make_projection(SYSTEM, None), BasisProjection)
+    small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_reduced)
+    assert isinstance(make_projection(small, BlockFactor(small)), BasisProjection)
+    tall = BlockSystem(
+        sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.whitened_residuals, 3), SYSTEM.n_reduced
+    )
+    assert isinstance(make_projection(tall, BlockFactor(tall)), FactorProjection)

@@ -8,12 +8,12 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
 from ltsim.solve.design import (
-    DOUBTFUL_PIVOT,
+    MIN_RELIABLE_PIVOT,
     NORMAL_RANK_TOLERANCE,
     RANK_TOLERANCE,
-    Design,
+    DesignMatrix,
     cholesky_where_determined,
-    unit_diagonal,
+    scale_to_unit_diagonal,
 )
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
@@ -34,13 +34,13 @@ CASES = ((100 * RANK_TOLERANCE, True), (3 * RANK_TOLERANCE, True), (RANK_TOLERAN
 @pytest.mark.parametrize(("image", "determined"), CASES)
 @pytest.mark.parametrize(("size", "kept"), [(12, 12), (300, 300), (3, 0)])
 def test_the_solver_decides_by_the_image_of_the_weakest_direction(
-    size: int, kept: int, image: float, determined: bool, kind: Callable[[np.ndarray], Design]
+    size: int, kept: int, image: float, determined: bool, kind: Callable[[np.ndarray], DesignMatrix]
 ) -> None:
     """Among the kept unknowns, or in a block that is eliminated; whatever the units."""
     design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
-        assert BlockFactor(system).smallest_pivot < DOUBTFUL_PIVOT
+        assert BlockFactor(system).smallest_pivot < MIN_RELIABLE_PIVOT
     else:
         with pytest.raises(SingularSystemError):
             BlockFactor(system)
@@ -61,6 +61,6 @@ def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:
 
 def test_scaling_takes_the_unit_out_of_a_matrix() -> None:
     matrix = np.array([[[4e-20, 1e-10], [1e-10, 9.0]]])
-    unit, scale = unit_diagonal(matrix, np.einsum("bii->bi", matrix))
+    unit, scale = scale_to_unit_diagonal(matrix, np.einsum("bii->bi", matrix))
     np.testing.assert_allclose(unit, [[[1.0, 1.0 / 6.0], [1.0 / 6.0, 1.0]]])
     np.testing.assert_allclose(scale, [[0.5e10, 1 / 3]])

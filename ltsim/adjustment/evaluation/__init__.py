@@ -3,7 +3,7 @@
 from ltsim.adjustment.evaluation.criteria import (
     Criteria as Criteria,
     CriteriaEntry as CriteriaEntry,
-    evaluate as evaluate,
+    evaluate_criteria as evaluate_criteria,
     read_nominal as read_nominal,
-    verify as verify,
+    verify_against_nominal as verify_against_nominal,
 )

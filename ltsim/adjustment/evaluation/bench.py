@@ -24,12 +24,12 @@ from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
 from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
-FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
-"""Smallest number of lengths and of probe readings: two coordinates of the vertex (or eccentricity) and the zero, and
-one more probe reading for the scatter.
-"""
+MIN_BENCH_LENGTHS = 3
+"""Smallest number of lengths: two coordinates of the vertex and the zero."""
+MIN_PROBE_READINGS = 4
+"""Smallest number of probe readings: two coordinates of the eccentricity and the zero, and one more for the scatter."""
 
-BENCH = Table(
+BENCH_TABLE = Table(
     "bench.csv",
     "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
     numbers(
@@ -66,7 +66,7 @@ class BenchRow(Entry):
     """Standard deviation of the error."""
 
 
-ANGLES = Table(
+ANGLES_TABLE = Table(
     "angles.csv",
     "the reflector's range error against incidence",
     columns_of(
@@ -120,11 +120,11 @@ class BenchFile(ResultFile):
         return lines
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"angles": lambda: ANGLES.filled(self.angles)}
+        return {"angles": lambda: ANGLES_TABLE.filled(self.angles)}
 
 
 @dataclass(frozen=True)
-class BenchRecord:
+class BenchReadings:
     """Bench readings: angles [rad], lengths (a,) [m], probe readings of the surface (k,) [m]."""
 
     angles: Floats
@@ -136,7 +136,7 @@ class BenchRecord:
 
 
 @dataclass(frozen=True)
-class BenchResult:
+class BenchEstimates:
     """Estimates from the bench readings, in SI units."""
 
     eccentricity: Floats
@@ -145,47 +145,48 @@ class BenchResult:
     """Covariance of the eccentricity, (2, 2) [m^2]."""
     run_out: float
     """Difference of the largest and the smallest probe reading [m]."""
-    uncorrected: Floats
+    uncorrected_lengths: Floats
     """Lengths relative to the one nearest 0 deg, before removal of the eccentricity, (a,) [m]."""
-    table: Floats
+    range_errors: Floats
     """Range error of the reflector, relative to the angle nearest 0 deg, (a,) [m]."""
-    sigma: Floats
-    """Standard deviation of `table`, (a,) [m]."""
+    range_error_sigmas: Floats
+    """Standard deviation of `range_errors`, (a,) [m]."""
 
 
-class Vertex(NamedTuple):
-    """Table explained by an offset of the mirrors' vertex from the sphere's centre, and the remaining error [m]."""
+class VertexOffset(NamedTuple):
+    """Offset of the mirrors' vertex from the sphere's centre that explains a bench table [m]."""
 
-    axial: float
-    side: float
-    """Components of the offset: out of the open face, and to the side."""
+    axial_offset: float
+    """Component [m] of the offset out of the open face."""
+    side_offset: float
+    """Component [m] of the offset to the side."""
     axial_sigma: float
     side_sigma: float
-    remainder: float
+    remaining_rms: float
     """Root mean square error that no offset explains, caused by optics."""
 
 
-def along_beam(angles: Floats) -> Floats:
+def eccentricity_design(angles: Floats) -> Floats:
     """Change of the length per unit of an eccentric point when the table is rotated, (a, 2)."""
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
-def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchRecord:
+def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchReadings:
     """Bench readings from a table ``angle_deg,length_um,probe_um``; raises RecordError for too few rows.
 
     The probe is at the angle `probe_direction` [rad] from the interferometer, opposite to the rotation of the table;
     `length_sigma` [m] is one standard deviation of the interferometer.
     """
-    angle, length, probe = BENCH.parsed(read_text(path), path).numbers(*BENCH.header).T
+    angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).numbers(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
         raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)
-    for what, column, fewest in (("length_um", length, FEWEST_LENGTHS), ("probe_um", probe, FEWEST_PROBED)):
+    for what, column, fewest in (("length_um", length, MIN_BENCH_LENGTHS), ("probe_um", probe, MIN_PROBE_READINGS)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
             raise RecordError(f"has {what} at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
-    return BenchRecord(
+    return BenchReadings(
         angles=angle[measured] * DEGREE,
         lengths=length[measured] * MICROMETRE,
         probe_angles=angle[probed] * DEGREE,
@@ -195,7 +196,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     )
 
 
-def evaluate_bench(record: BenchRecord) -> BenchResult:
+def evaluate_bench(record: BenchReadings) -> BenchEstimates:
     """Estimates of a bench test, with the eccentricity measured by the probe removed from the lengths.
 
     The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
@@ -208,25 +209,25 @@ def evaluate_bench(record: BenchRecord) -> BenchResult:
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
     middle = int(np.argmin(np.abs(record.angles)))
     uncorrected = record.lengths - record.lengths[middle]
-    change = along_beam(record.angles) - along_beam(record.angles)[middle]
+    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle]
     length_variance = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
-    return BenchResult(
+    return BenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
         run_out=float(np.ptp(record.displacements)),
-        uncorrected=uncorrected,
-        table=uncorrected - change @ estimate[1:],
-        sigma=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
+        uncorrected_lengths=uncorrected,
+        range_errors=uncorrected - change @ estimate[1:],
+        range_error_sigmas=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
     )
 
 
-def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
-    """Offset of the vertex that explains a table (a,) [m] at `angles`; `sigma` [m] of one entry."""
-    design = np.concatenate([np.ones((len(angles), 1)), along_beam(angles)], axis=1)
-    estimate = np.linalg.lstsq(design, table, rcond=None)[0]
+def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> VertexOffset:
+    """Offset of the vertex that explains range errors (a,) [m] at `angles`; `sigma` [m] of one entry."""
+    design = np.concatenate([np.ones((len(angles), 1)), eccentricity_design(angles)], axis=1)
+    estimate = np.linalg.lstsq(design, range_errors, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    remainder = float(np.sqrt(np.mean((table - design @ estimate) ** 2)))
-    return Vertex(float(estimate[1]), float(estimate[2]), float(spread[1]), float(spread[2]), remainder)
+    remainder = float(np.sqrt(np.mean((range_errors - design @ estimate) ** 2)))
+    return VertexOffset(float(estimate[1]), float(estimate[2]), float(spread[1]), float(spread[2]), remainder)
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
@@ -259,13 +260,18 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
     record = read_bench(Path(source), **how)
     result = evaluate_bench(record)
-    vertex = as_vertex(record.angles, result.table, float(result.sigma.max()))
+    vertex = fit_vertex_offset(record.angles, result.range_errors, float(result.range_error_sigmas.max()))
     off = np.sqrt(np.diag(result.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
 
-    columns = zip(result.uncorrected / MICROMETRE, result.table / MICROMETRE, result.sigma / MICROMETRE, strict=True)
+    columns = zip(
+        result.uncorrected_lengths / MICROMETRE,
+        result.range_errors / MICROMETRE,
+        result.range_error_sigmas / MICROMETRE,
+        strict=True,
+    )
     return BenchFile(
         eccentricity_forward=entry(result.eccentricity[0], off[0]),
         eccentricity_side=entry(result.eccentricity[1], off[1]),
@@ -274,7 +280,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
             BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
             for angle, (read, error, sigma) in zip(record.angles / DEGREE, columns, strict=True)
         ),
-        vertex_axial=entry(vertex.axial, vertex.axial_sigma),
-        vertex_side=entry(vertex.side, vertex.side_sigma),
-        remainder_um=vertex.remainder / MICROMETRE,
+        vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
+        vertex_side=entry(vertex.side_offset, vertex.side_sigma),
+        remainder_um=vertex.remaining_rms / MICROMETRE,
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
@@ -35,12 +35,12 @@ def measured_points(
     return points
 
 
-def station_means(recording: Recording, points: Floats, use: Bools | None = None) -> Floats:
+def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools | None = None) -> Floats:
     """Mean (S, T, 3), over faces and repeats, of the points (n, 3) of each station and target; NaN for none."""
     size = (len(recording.stations), len(recording.targets))
     whole = np.isfinite(points).all(axis=1)
-    if use is not None:
-        whole &= use
+    if row_mask is not None:
+        whole &= row_mask
     at = (recording.station[whole], recording.target[whole])
     total, count = np.zeros((*size, 3)), np.zeros(size)
     np.add.at(total, at, points[whole])
@@ -48,17 +48,17 @@ def station_means(recording: Recording, points: Floats, use: Bools | None = None
     return np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
 
 
-def on_points(cloud: Floats, goal: Floats) -> Floats:
-    """Cloud (T, 3) aligned rigidly to `goal` (T, 3) by least squares over common targets.
+def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
+    """Cloud (T, 3) aligned rigidly to `target_points` (T, 3) by least squares over common targets.
 
     Raises NetworkError for fewer than three common targets that are not collinear.
     """
-    shared = np.isfinite(cloud[:, 0]) & np.isfinite(goal[:, 0])
-    rotation, translation = align(cloud[shared], goal[shared])
+    shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
+    rotation, translation = align_rigidly(cloud[shared], target_points[shared])
     return cloud @ rotation.T + translation
 
 
-def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
+def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
     """Clouds (S, T, 3), each aligned rigidly to the first station's frame.
 
     A station with fewer than three targets in common with the first is aligned to the mean of those aligned before; in
@@ -78,7 +78,7 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
             goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
         waiting[station] = False
         try:
-            placed[station] = on_points(clouds[station], goal)
+            placed[station] = align_to_points(clouds[station], goal)
         except NetworkError as problem:
             message = f"station {names[station]} cannot be joined to the others: {problem}"
             raise NetworkError(message) from None
@@ -90,17 +90,17 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
 
 
 @dataclass(frozen=True)
-class ShareRemoved:
+class CalibrationErrors:
     """Root mean square errors relative to the truth [m]: raw, calibrated, with true parameters."""
 
-    raw: float
-    calibrated: float
-    true_parameters: float
+    raw_rms: float
+    calibrated_rms: float
+    true_parameters_rms: float
 
     @property
-    def share(self) -> float:
+    def share_removed(self) -> float:
         """Fraction of the correctable mean square that was removed."""
-        return share(self.raw, self.calibrated, self.true_parameters)
+        return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
 def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
@@ -119,6 +119,6 @@ def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> fl
     `points` (n, 3) [m] are in the instruments' frames. Poses are unknown to users: an error that the pose absorbs
     completely (azimuth index, station height) is not counted.
     """
-    clouds = station_means(recording, points)
-    gap = np.stack([on_points(cloud, true_points) - true_points for cloud in clouds])
+    clouds = station_point_clouds(recording, points)
+    gap = np.stack([align_to_points(cloud, true_points) - true_points for cloud in clouds])
     return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=2))))

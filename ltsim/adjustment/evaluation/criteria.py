@@ -17,10 +17,15 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import in_first_frame, measured_points, on_points, station_means
+from ltsim.adjustment.evaluation.clouds import (
+    align_to_first_station,
+    align_to_points,
+    measured_points,
+    station_point_clouds,
+)
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.notation import NONE
+from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
@@ -30,12 +35,12 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
 
-MOST_PLACES = 20_000_000
+MAX_STATION_TARGET_PAIRS = 20_000_000
 """Largest number of stations times targets whose clouds are compared (0.5 GB of memory)."""
 
 
 @dataclass(frozen=True)
-class Differences(ValueEquality):
+class StationDisagreement(ValueEquality):
     """Disagreement (k,) [m], one value per pair of targets for distances, one per target for coordinates."""
 
     values: Floats
@@ -51,7 +56,7 @@ class Differences(ValueEquality):
         return float(self.values.max())
 
 
-CRITERIA = Table(
+CRITERIA_TABLE = Table(
     "criteria.csv",
     "disagreement of the stations, before and after a calibration",
     (
@@ -65,7 +70,7 @@ CRITERIA = Table(
 )
 
 
-class SpreadEntry(Entry):
+class DisagreementEntry(Entry):
     """Disagreement between stations [um]."""
 
     mean_um: OptionalFloat = None
@@ -74,7 +79,7 @@ class SpreadEntry(Entry):
     """Maximum over pairs or targets."""
 
     @classmethod
-    def of(cls, differences: Differences) -> Self:
+    def from_differences(cls, differences: StationDisagreement) -> Self:
         """Mean and maximum of the disagreement."""
         return cls(mean_um=differences.mean / MICROMETRE, max_um=differences.maximum / MICROMETRE)
 
@@ -82,26 +87,30 @@ class SpreadEntry(Entry):
 class CriterionEntry(Entry):
     """Criterion before and after a calibration."""
 
-    before: SpreadEntry = SpreadEntry()
+    before: DisagreementEntry = DisagreementEntry()
     """Disagreement of the uncorrected readings."""
-    after: SpreadEntry | None = None
+    after: DisagreementEntry | None = None
     """Disagreement of the corrected readings; null without a calibration."""
     improvement_percent: OptionalFloat = None
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
     @classmethod
-    def of(cls, before: Differences, after: Differences | None = None) -> Self:
+    def from_differences(cls, before: StationDisagreement, after: StationDisagreement | None = None) -> Self:
         """Criterion from the disagreement before and (if available) after a calibration."""
         if after is None:
-            return cls(before=SpreadEntry.of(before))
+            return cls(before=DisagreementEntry.from_differences(before))
         percent = None if before.mean == 0 else 100.0 * (1.0 - after.mean / before.mean)
-        return cls(before=SpreadEntry.of(before), after=SpreadEntry.of(after), improvement_percent=percent)
+        return cls(
+            before=DisagreementEntry.from_differences(before),
+            after=DisagreementEntry.from_differences(after),
+            improvement_percent=percent,
+        )
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Text of the mean before and after in um, in one line."""
         if self.before.mean_um is None:
-            return NONE
+            return MISSING_TEXT
         before = f"{self.before.mean_um:.1f} um"
         if self.after is None or self.after.mean_um is None or self.improvement_percent is None:
             return before
@@ -124,126 +133,129 @@ class CriteriaEntry(Entry):
         rows = []
         for name, criterion in {**named, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
-                before, after = criterion.before, criterion.after or SpreadEntry()
+                before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
                 rows.append([name, *sizes, criterion.improvement_percent])
-        return CRITERIA.filled(rows)
+        return CRITERIA_TABLE.filled(rows)
 
 
 class Criteria(ResultFile, CriteriaEntry):
-    """`criteria.json`: the result of `evaluate` and `verify`."""
+    """`criteria.json`: the result of `evaluate_criteria` and `verify_against_nominal`."""
 
     FILE: ClassVar[str] = "criteria.json"
     format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
     """Format and version of this file."""
 
     @classmethod
-    def of(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
+    def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
         """The result for a recording."""
         entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
-        return cls(**entries, recording=SourceEntry.of(recording))
+        return cls(**entries, recording=SourceEntry.from_recording(recording))
 
     def _lines(self) -> list[str]:
-        return [f"Criteria: distance {self.distance.words}; coordinate {self.coordinate.words}"]
+        return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"criteria": self.criteria_table}
 
 
-def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
+def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
     """Iterator over points: the k observers of each point, and its distances (k, m) [m] to later points.
 
-    `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `least` observers are
-    omitted, so that memory depends on observed pairs only.
+    `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `min_observers`
+    observers are omitted, so that memory depends on observed pairs only.
     """
     measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
         observers = np.flatnonzero(measured[:, point])
-        others = point + 1 + np.flatnonzero(measured[observers, point + 1 :].sum(axis=0) >= least)
+        others = point + 1 + np.flatnonzero(measured[observers, point + 1 :].sum(axis=0) >= min_observers)
         yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
-def distance_differences(clouds: Floats) -> Differences:
+def distance_differences(clouds: Floats) -> StationDisagreement:
     """Mean over stations of |distance - its mean over stations| for each pair of targets (section 3.2.1).
 
     `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN if not observed. Pairs with one observer are
     omitted.
     """
-    lengths = (length for _, length in lengths_of_pairs(clouds, 2))
+    lengths = (length for _, length in iterate_pair_distances(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
-    return Differences(np.concatenate([np.zeros(0), *means]))
+    return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
-def distance_differences_to_first(clouds: Floats) -> Differences:
+def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
     """Mean over the other stations of |distance from station 1 - from them| for each pair of targets (eq. 11)."""
-    lengths = (length for _, length in lengths_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
+    lengths = (length for _, length in iterate_pair_distances(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
-    return Differences(np.concatenate([np.zeros(0), *means]))
+    return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
-def coordinate_differences(placed: Floats) -> Differences:
+def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
     """Mean over pairs of stations of the distance between their two positions of each target (eq. 12).
 
-    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN if not observed.
+    `aligned_clouds` (S, T, 3) [m] are all stations' targets in one frame; NaN if not observed.
     """
-    total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
-    for targets, gap in lengths_of_pairs(np.swapaxes(placed, 0, 1)):
+    total, count = np.zeros(aligned_clouds.shape[1]), np.zeros(aligned_clouds.shape[1])
+    for targets, gap in iterate_pair_distances(np.swapaxes(aligned_clouds, 0, 1)):
         total[targets] += np.nansum(gap, axis=1)
         count[targets] += np.isfinite(gap).sum(axis=1)
     shared = count >= 1
-    return Differences(total[shared] / count[shared])
+    return StationDisagreement(total[shared] / count[shared])
 
 
-def evaluate(
+def evaluate_criteria(
     recording: Recording,
     construction: Construction | None = None,
     values: Floats | None = None,
     *,
-    shift: Floats | None = None,
-    use: Bools | None = None,
+    reading_changes: Floats | None = None,
+    row_mask: Bools | None = None,
 ) -> CriteriaEntry:
     """The paper's criteria of a recording, before and after correction by parameters (p,) or (n, p) [SI].
 
-    `shift` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts. Faces and
-    repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than two
+    `reading_changes` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts.
+    Faces and repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than
+    two
     stations have common targets, if the network is too large for a comparison of all clouds, and if SMRs of several
     radii were at different positions.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
-    if stations * targets > MOST_PLACES:
+    if stations * targets > MAX_STATION_TARGET_PAIRS:
         raise NetworkError(
             f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
-    before = station_means(recording, measured_points(recording), use)
+    before = station_point_clouds(recording, measured_points(recording), row_mask)
     after = None
     if construction is not None and values is not None:
-        after = station_means(recording, measured_points(_without(recording, shift), construction, values), use)
+        after = station_point_clouds(
+            recording, measured_points(_subtract_change(recording, reading_changes), construction, values), row_mask
+        )
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
-    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> CriterionEntry:
-        def of(clouds: Floats) -> Differences:
-            return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
+    def compare(measure: Callable[[Floats], StationDisagreement], *, aligned: bool) -> CriterionEntry:
+        def of(clouds: Floats) -> StationDisagreement:
+            return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
         raw = of(before)
         if not len(raw.values):
             raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
-        return CriterionEntry.of(raw, None if after is None else of(after))
+        return CriterionEntry.from_differences(raw, None if after is None else of(after))
 
     return CriteriaEntry(
         distance=compare(distance_differences, aligned=False),
         coordinate=compare(coordinate_differences, aligned=True),
-        **_to_first(before, after),
+        **_distance_to_first_criterion(before, after),
     )
 
 
-def _without(recording: Recording, shift: Floats | None) -> Recording:
+def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Recording:
     """Recording with a change (n, 3) subtracted from its readings."""
-    return recording if shift is None else recording.with_readings(recording.readings - shift)
+    return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
-def _to_first(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
+def _distance_to_first_criterion(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
     """Criterion of eq. 11 by the name of its field.
 
     It is empty if no other station shares a pair of targets with the first.
@@ -252,12 +264,12 @@ def _to_first(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]
     if not len(differences.values):
         return {}
     corrected = None if after is None else distance_differences_to_first(after)
-    return {"distance_to_first": CriterionEntry.of(differences, corrected)}
+    return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
 
 
-NOMINAL = Table(
+NOMINAL_TABLE = Table(
     "nominal.csv",
-    "points of a measuring machine, which `verify` compares with",
+    "points of a measuring machine, which `verify_against_nominal` compares with",
     (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
 )
 
@@ -265,35 +277,35 @@ NOMINAL = Table(
 def read_nominal(path: Path) -> dict[str, Floats]:
     """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
     points = read_points(path)
-    for line, place in zip(points.lines, points.points, strict=True):
+    for line, place in zip(points.line_numbers, points.points, strict=True):
         if not np.isfinite(place).all():
             raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
     return points.by_name
 
 
-def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
+def distance_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
     """Mean over stations of |distance - nominal distance| for each pair of targets (eq. 13, as meant)."""
     return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
 
 
-def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
+def coordinate_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
     """Mean over stations of the distance to the nominal point after a rigid fit, for each target (eq. 14)."""
-    gap = np.linalg.norm([on_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
-    return Differences(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
+    gap = np.linalg.norm([align_to_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 
 
-def verify(
+def verify_against_nominal(
     recording: Recording,
     nominal: dict[str, Floats],
     construction: Construction | None = None,
     values: Floats | None = None,
     *,
-    shift: Floats | None = None,
+    reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
     """Errors of a laboratory recording relative to nominal points (3,) [m], before and after calibration.
 
-    "After" applies parameters (p,) or (n, p) [SI] and subtracts `shift` (n, 3) from the readings. Raises NetworkError
-    if a station measured fewer than three nominal targets.
+    "After" applies parameters (p,) or (n, p) [SI] and subtracts `reading_changes` (n, 3) from the readings. Raises
+    NetworkError if a station measured fewer than three nominal targets.
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])
@@ -303,8 +315,8 @@ def verify(
             f"only {int(has_nominal.sum())} targets of the recording have nominal points; at least three are needed"
         )
 
-    def of(points: Floats) -> tuple[Differences, Differences]:
-        clouds = station_means(recording, points)[:, has_nominal]
+    def of(points: Floats) -> tuple[StationDisagreement, StationDisagreement]:
+        clouds = station_point_clouds(recording, points)[:, has_nominal]
         try:
             return distance_errors(clouds, goal[has_nominal]), coordinate_errors(clouds, goal[has_nominal])
         except NetworkError as problem:
@@ -312,8 +324,11 @@ def verify(
 
     distance, coordinate = of(measured_points(recording))
     if construction is None or values is None:
-        return CriteriaEntry(distance=CriterionEntry.of(distance), coordinate=CriterionEntry.of(coordinate))
-    after = of(measured_points(_without(recording, shift), construction, values))
+        return CriteriaEntry(
+            distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
+        )
+    after = of(measured_points(_subtract_change(recording, reading_changes), construction, values))
     return CriteriaEntry(
-        distance=CriterionEntry.of(distance, after[0]), coordinate=CriterionEntry.of(coordinate, after[1])
+        distance=CriterionEntry.from_differences(distance, after[0]),
+        coordinate=CriterionEntry.from_differences(coordinate, after[1]),
     )

@@ -4,4 +4,4 @@ from ltsim.adjustment.fieldcheck.check import (
     check as check,
     write_check as write_check,
 )
-from ltsim.adjustment.fieldcheck.result import Check as Check, Item as Item
+from ltsim.adjustment.fieldcheck.result import Check as Check, CheckItem as CheckItem

@@ -22,21 +22,21 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import from_polar, to_polar, wrap
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
-FELT = 0.1
+MIN_INSTRUMENT_CHANGE = 0.1
 """Smallest change of a reading, in its sigma, by a direction of the instrument's errors that is kept in the model."""
-REDUNDANT = 0.05
+MIN_READING_REDUNDANCY = 0.05
 """Redundancy below which an error of a reading is not visible."""
-DETERMINED_SHARE = 0.999
+MIN_DETERMINED_FRACTION = 0.999
 """Fraction of a parameter within the determined directions above which its value is reported."""
-SHOWN = 0.01
+MIN_REMAINING_SIGNATURE_FRACTION = 0.01
 """Fraction of a suspected cause's signature that must remain after targets and instrument for a test."""
-HELD = 1e-6
+MIN_RELATIVE_SINGULAR_VALUE = 1e-6
 """Smallest singular value of whitened columns, relative to the largest, that counts as a separate direction."""
 
 
@@ -47,14 +47,14 @@ class ColumnsFit:
     The variance of an undetermined value is infinite.
     """
 
-    drop: float
+    chi2_drop: float
     rank: int
-    values: Floats
+    estimates: Floats
     covariance: Floats
 
-    def size(self, which: slice) -> tuple[float, float]:
+    def length_and_sigma(self, which: slice) -> tuple[float, float]:
         """Length of a part of the estimate, and its standard deviation."""
-        part, spread = self.values[which], self.covariance[which, which]
+        part, spread = self.estimates[which], self.covariance[which, which]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
             return length, float("inf")
@@ -70,13 +70,13 @@ class StationOccupation:
     """Recording of this station."""
     sightings: Sightings
     """Sightings in the instrument frame."""
-    use: Bools
+    row_mask: Bools
     """Flags (n,) of the pointings in use."""
-    whitened: Floats
+    whitened_residuals: Floats
     """Residuals of the readings divided by sigma, (n, 3); 0 for unused ones."""
-    by_target: Floats
+    target_basis: Floats
     """Orthonormal columns of each pointing's target, (n, 3, 3)."""
-    by_instrument: Floats
+    instrument_basis: Floats
     """Orthonormal columns of the instrument's errors over all targets, (n, 3, k)."""
     sigma: Floats
     """Standard deviations of the readings, (n, 3)."""
@@ -84,7 +84,7 @@ class StationOccupation:
     """Degrees of freedom."""
 
     @classmethod
-    def of(
+    def from_recording(
         cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
     ) -> StationOccupation:
         """Occupation of a recording's station.
@@ -94,42 +94,42 @@ class StationOccupation:
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.usable & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _state(recording, chosen)), lift=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
-        raw = np.where(recording.measured, recording.readings, sightings.raw)
-        by_point, by_value = construction.reading_design(raw, np.zeros(construction.size))
+        raw = np.where(recording.measured, recording.readings, sightings.raw_readings)
+        by_point, by_value = construction.reading_design(raw, np.zeros(construction.n_parameters))
         scale = (weight / sigma)[:, :, None]
-        gap = np.where(weight, recording.readings - sightings.raw, 0.0)
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
         blank = np.zeros((len(recording), 3, 0))
         bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
-        columns = bare.projected(by_value * prior * scale).reshape(3 * len(recording), -1)
+        columns = bare.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
-        instrument = u[:, size > FELT].reshape(len(recording), 3, -1)
+        instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
         whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
-        return replace(whole, whitened=whole.projected(gap[:, :, None] * scale)[:, :, 0])
+        return replace(whole, whitened_residuals=whole.project_columns(gap[:, :, None] * scale)[:, :, 0])
 
     @property
     def chi2(self) -> float:
         """Weighted sum of squared residuals after targets and instrument errors."""
-        return float(np.sum(self.whitened**2))
+        return float(np.sum(self.whitened_residuals**2))
 
     @property
-    def weight(self) -> Floats:
+    def inverse_sigmas(self) -> Floats:
         """Inverse standard deviations (n, 3) of the readings in use, 0 for others."""
-        return np.where(self.recording.usable & self.use[:, None], 1.0 / self.sigma, 0.0)
+        return np.where(self.recording.usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
 
-    def projected(self, columns: Floats) -> Floats:
+    def project_columns(self, columns: Floats) -> Floats:
         """Whitened columns (n, 3, c) with targets and instrument errors projected out."""
-        on_target = np.einsum("nij,nic->njc", self.by_target, columns)
+        on_target = np.einsum("nij,nic->njc", self.target_basis, columns)
         together = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
         np.add.at(together, self.recording.target, on_target)
-        rest = columns - np.einsum("nij,njc->nic", self.by_target, together[self.recording.target])
-        if self.by_instrument.shape[2]:
-            amount = np.einsum("nik,nic->kc", self.by_instrument, rest)
-            rest = rest - np.einsum("nik,kc->nic", self.by_instrument, amount)
+        rest = columns - np.einsum("nij,njc->nic", self.target_basis, together[self.recording.target])
+        if self.instrument_basis.shape[2]:
+            amount = np.einsum("nik,nic->kc", self.instrument_basis, rest)
+            rest = rest - np.einsum("nik,kc->nic", self.instrument_basis, amount)
         return np.asarray(rest)
 
     def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
@@ -137,86 +137,90 @@ class StationOccupation:
 
         It is 0 if targets and instrument errors absorb them.
         """
-        whole = design * self.weight[:, :, None]
-        columns = self.projected(whole).reshape(-1, design.shape[2])
+        whole = design * self.inverse_sigmas[:, :, None]
+        columns = self.project_columns(whole).reshape(-1, design.shape[2])
         length = np.linalg.norm(columns, axis=0)
-        length[length < SHOWN * np.linalg.norm(whole, axis=(0, 1))] = 0.0
+        length[length < MIN_REMAINING_SIGNATURE_FRACTION * np.linalg.norm(whole, axis=(0, 1))] = 0.0
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
-    def explained(self, design: Floats) -> ColumnsFit:
+    def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = u[:, good].T @ self.whitened.ravel()
+        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        amount = u[:, good].T @ self.whitened_residuals.ravel()
         back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = back @ back.T
-        unseen = np.sum(right[good] ** 2, axis=0) < DETERMINED_SHARE
+        unseen = np.sum(right[good] ** 2, axis=0) < MIN_DETERMINED_FRACTION
         covariance[unseen, unseen] = np.inf
         return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
-    def p_value(self, explained: ColumnsFit) -> float:
+    def p_value(self, fit: ColumnsFit) -> float:
         """p-value of a chi-square decrease: the larger of those by the declared and by the estimated noise."""
-        if not explained.rank or self.dof <= explained.rank:
+        if not fit.rank or self.dof <= fit.rank:
             return 1.0
-        by_declared = float(special.chdtrc(explained.rank, explained.drop))
-        rest = self.dof - explained.rank
-        ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
-        return max(by_declared, float(special.fdtrc(explained.rank, rest, ratio)))
+        by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
+        rest = self.dof - fit.rank
+        ratio = (fit.chi2_drop / fit.rank) / max((self.chi2 - fit.chi2_drop) / rest, 1e-30)
+        return max(by_declared, float(special.fdtrc(fit.rank, rest, ratio)))
 
-    def without(self, design: Floats) -> StationOccupation:
+    def with_fitted_columns(self, design: Floats) -> StationOccupation:
         """Occupation with the columns (n, 3, c) of a suspected cause fitted too."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
-        added = u[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
-        rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
-        basis = np.concatenate([self.by_instrument, added.reshape(len(self.use), 3, -1)], axis=2)
-        return replace(self, whitened=rest.reshape(-1, 3), by_instrument=basis, dof=self.dof - added.shape[1])
+        added = u[:, size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)]
+        rest = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
+        basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
+        return replace(
+            self, whitened_residuals=rest.reshape(-1, 3), instrument_basis=basis, dof=self.dof - added.shape[1]
+        )
 
-    def scatter(self) -> tuple[Floats, Floats]:
+    def target_chi2_and_dof(self) -> tuple[Floats, Floats]:
         """Chi-square (T,) of each target's pointings, and its degrees of freedom."""
-        leverage = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
-        redundancy = np.where(self.weight > 0, 1.0 - leverage, 0.0).sum(axis=1)
+        leverage = np.sum(self.target_basis**2, axis=2) + np.sum(self.instrument_basis**2, axis=2)
+        redundancy = np.where(self.inverse_sigmas > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
-        sums = [np.bincount(target, weights, count) for weights in (np.sum(self.whitened**2, axis=1), redundancy)]
+        sums = [
+            np.bincount(target, weights, count) for weights in (np.sum(self.whitened_residuals**2, axis=1), redundancy)
+        ]
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
-    def miss(self, row: int) -> float:
+    def distance_from_mean(self, row: int) -> float:
         """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
         points = from_polar(self.recording.readings)
         whole = np.isfinite(points).all(axis=1)
-        others: Bools = np.logical_and(whole & self.use, self.recording.target == self.recording.target[row])
+        others: Bools = np.logical_and(whole & self.row_mask, self.recording.target == self.recording.target[row])
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
-    def spread(self, target: int) -> float:
+    def target_point_sigma(self, target: int) -> float:
         """Standard deviation [m] of the points of a target along one axis."""
-        points = from_polar(self.recording.readings[self.use & np.asarray(self.recording.target == target)])
+        points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
 
-    def of_pointings(self) -> tuple[Floats, Ints]:
+    def pointing_removal_tests(self) -> tuple[Floats, Ints]:
         """Chi-square decrease (n,) if a pointing is removed, and number of readings (n,) that test it."""
-        response = np.eye(3) - np.einsum("nij,nkj->nik", self.by_target, self.by_target)
-        response = response - np.einsum("nij,nkj->nik", self.by_instrument, self.by_instrument)
-        in_use = self.weight > 0
+        response = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
+        response = response - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
+        in_use = self.inverse_sigmas > 0
         response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
         values, vectors = np.linalg.eigh(response)
-        controlled = values > REDUNDANT
-        amount = np.einsum("nij,ni->nj", vectors, self.whitened)
+        controlled = values > MIN_READING_REDUNDANCY
+        amount = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
         drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
         return drop, controlled.sum(axis=1).astype(np.int64)
 
 
-def _state(recording: Recording, use: Bools) -> State:
+def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
     whole = np.isfinite(points).all(axis=1)
-    good = whole & use if (whole & use).any() else whole
+    good = whole & row_mask if (whole & row_mask).any() else whole
     total, count = np.zeros((len(recording.targets), 3)), np.zeros(len(recording.targets))
     np.add.at(total, recording.target[good], points[good])
     np.add.at(count, recording.target[good], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
     mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
-    return State(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
+    return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
@@ -225,7 +229,7 @@ def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[F
     for t in range(count):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
-        good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
+        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
         basis = np.where(good, u, 0.0)
         bases[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
         ranks += int(good.sum())
@@ -233,63 +237,66 @@ def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[F
 
 
 @dataclass(frozen=True)
-class Faces:
+class TwoFaceDifferences:
     """Two-face half differences of one set-up with their limits."""
 
-    pairs: TwoFace
+    uncorrected_pairs: TwoFacePairs
     """Two-face pairs, uncorrected."""
-    still: TwoFace
+    motion_corrected_pairs: TwoFacePairs
     """Two-face pairs without the contribution of a moving station or a drifting instrument."""
-    noise: Floats
+    half_difference_sigmas: Floats
     """Standard deviation of each half difference by the declared noise, (m, 3) [m, rad, rad]."""
-    over: Bools
+    exceeds_limit: Bools
     """Flags (m, 3) of the half differences (without motions) that exceed their limits."""
-    limit: Floats
+    max_half_differences: Floats
     """Largest permitted half difference, (m, 3)."""
 
     @classmethod
-    def of(
+    def from_recordings(
         cls,
         recording: Recording,
-        still: Recording,
+        motion_corrected: Recording,
         construction: Construction,
         level: float,
         mpe: tuple[float, float] | None,
-    ) -> Faces | None:
+    ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
-        `still` has its readings without motions.
+        `motion_corrected_pairs` has its readings without motions.
 
         `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
-        if not len(face_pairs(recording)):
+        if not len(face_pair_rows(recording)):
             return None
-        pairs, unmoved = two_face(recording), two_face(still)
+        pairs, unmoved = two_face_pairs(recording), two_face_pairs(motion_corrected)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
         noise = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]
-        change = [two_face(recording, construction, np.diag(prior)[k]).half - pairs.half for k in range(len(prior))]
+        change = [
+            two_face_pairs(recording, construction, np.diag(prior)[k]).half_differences - pairs.half_differences
+            for k in range(len(prior))
+        ]
         guarantee = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
-            critical = -special.ndtri(level / (2 * pairs.half.size))
+            critical = -special.ndtri(level / (2 * pairs.half_differences.size))
             limit = critical * np.hypot(noise, guarantee)
         else:
-            metres = pairs.place[:, 0]
+            metres = pairs.front_face_readings[:, 0]
             allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
-        return cls(pairs, unmoved, noise, np.abs(unmoved.half) > limit, limit)
+        return cls(pairs, unmoved, noise, np.abs(unmoved.half_differences) > limit, limit)
 
 
 @dataclass(frozen=True)
-class TwoFace:
+class TwoFacePairs:
     """Pairs of pointings of one station to one target on both faces."""
 
     rows: Ints
     """Rows of the recording with face 1 and face 2, (m, 2)."""
-    place: Floats
+    front_face_readings: Floats
     """Mean front-face range, azimuth, elevation, (m, 3) [m, rad, rad]."""
-    half: Floats
+    half_differences: Floats
     """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: range, azimuth perpendicular to the beam (times the cosine of
     the elevation), elevation.
     """
@@ -300,19 +307,24 @@ class TwoFace:
     @property
     def rms(self) -> Floats:
         """Root mean square (3,) of the half differences: range [m], azimuth across the beam and elevation [rad]."""
-        return np.sqrt(np.mean(self.half**2, axis=0))
+        return np.sqrt(np.mean(self.half_differences**2, axis=0))
 
     @property
     def median(self) -> Floats:
         """Median (3,) of the absolute half differences, insensitive to a few gross errors."""
-        return np.median(np.abs(self.half), axis=0)
+        return np.median(np.abs(self.half_differences), axis=0)
 
-    def only(self, pairs: Bools) -> Self:
+    def select(self, pairs: Bools) -> Self:
         """Selection of the pairs by flags (m,)."""
-        return replace(self, rows=self.rows[pairs], place=self.place[pairs], half=self.half[pairs])
+        return replace(
+            self,
+            rows=self.rows[pairs],
+            front_face_readings=self.front_face_readings[pairs],
+            half_differences=self.half_differences[pairs],
+        )
 
 
-def face_pairs(recording: Recording) -> Ints:
+def face_pair_rows(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
     whole = np.all(recording.usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
@@ -324,23 +336,25 @@ def face_pairs(recording: Recording) -> Ints:
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def two_face(recording: Recording, construction: Construction | None = None, values: Floats | None = None) -> TwoFace:
+def two_face_pairs(
+    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+) -> TwoFacePairs:
     """Two-face half differences of a recording, corrected with parameters (p,) or (n, p) [SI] of a construction.
 
     The default is an ideal tracker, which does not correct. Raises NetworkError if no target was measured on both
     faces.
     """
-    pairs = face_pairs(recording)
+    pairs = face_pair_rows(recording)
     if not len(pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
-    built = construction or ideal()
-    applied = np.zeros(built.size) if values is None else values
+    built = construction or ideal_construction()
+    applied = np.zeros(built.n_parameters) if values is None else values
     readings = np.where(recording.measured, recording.readings, 1.0)
     polar = to_polar(built.point(readings, applied))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     place = first - 0.5 * gap
     half = 0.5 * gap
     half[:, 1] *= np.cos(place[:, 2])
-    return TwoFace(pairs, place, half)
+    return TwoFacePairs(pairs, place, half)

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import PrivateAttr
 from scipy import special
 
-from ltsim.adjustment.fieldcheck.occupation import Faces, StationOccupation
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.core.arrays import Ints
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of, numbers, texts
@@ -21,19 +21,20 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry
 
-Kind = Literal[
+CheckItemKind = Literal[
     "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
 ]
-CAUSES = ("cause", "mistake", "bump", "drift")
+"""Kind of test of a field check."""
+FIRST_REPORTED_KINDS = ("cause", "mistake", "bump", "drift")
 """Kinds of items that are reported first, because two-face differences and scatter follow from them."""
 
 
-class Item(Entry):
+class CheckItem(Entry):
     """Test of a field check, with its result."""
 
     station: str
     """Station; empty for an item on all stations."""
-    kind: Kind
+    kind: CheckItemKind
     """Kind of test."""
     passed: bool
     """True if the item is no reason to stop."""
@@ -49,12 +50,14 @@ class Item(Entry):
     """Time interval of a motion [s], after the first and before the second time; null for other tests."""
 
     @classmethod
-    def of(cls, at: str, kind: Kind, passed: bool, sentence: str, p: float | None = None, **marked: Any) -> Item:
+    def from_test(
+        cls, place: str, kind: CheckItemKind, passed: bool, sentence: str, p_value: float | None = None, **details: Any
+    ) -> CheckItem:
         """Item of a test with its sentence, p-value, and the targets, rows or times that it concerns."""
-        return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
+        return cls(station=place, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
-OF_TEST: dict[str, Kind] = {
+ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
@@ -67,21 +70,21 @@ OF_TEST: dict[str, Kind] = {
 """Kind of item for each kind of identified cause; `cause` for others."""
 
 
-def item_of(test: Test) -> Item:
+def item_from_cause(test: CauseTest) -> CheckItem:
     """Item of an identified cause; it passes only if it is noise smaller than declared."""
     passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
-    kind: Kind = "level" if test.acts_on == "level" else OF_TEST.get(test.kind, "cause")
+    kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
-    return Item.of(at, kind, passed, sentence, test.p_value, targets=targets, rows=test.rows)
+    return CheckItem.from_test(at, kind, passed, sentence, test.p_value, targets=targets, rows=test.rows)
 
 
-ITEMS = Table(
+ITEMS_TABLE = Table(
     "items.csv",
     "tests of the field check",
-    columns_of(Item, "station kind passed p_value sentence", p_value={"kind": "chance"}),
+    columns_of(CheckItem, "station kind passed p_value sentence", p_value={"kind": "chance"}),
 )
-TWO_FACE = Table(
+TWO_FACE_TABLE = Table(
     "two_face.csv",
     "half two-face differences with their limits, one row per pair",
     (
@@ -96,16 +99,16 @@ TWO_FACE = Table(
 
 
 @dataclass(frozen=True)
-class SetUp(ValueEquality):
+class SetupCheck(ValueEquality):
     """Tests of a set-up: items, two-face differences (None without pairs), model (None without repeats).
 
     `rows` are the rows of the whole recording, from 1.
     """
 
     station: str
-    items: tuple[Item, ...]
-    faces: Faces | None
-    visit: StationOccupation | None
+    items: tuple[CheckItem, ...]
+    two_face_differences: TwoFaceDifferences | None
+    occupation: StationOccupation | None
     rows: Ints
     motions: tuple[StationMotion, ...] = ()
     """Motions of the station during the occupation."""
@@ -116,7 +119,7 @@ class CheckArrays(ValueEquality):
     """Arrays of a check: recording and set-ups."""
 
     recording: Recording
-    setups: tuple[SetUp, ...]
+    setups: tuple[SetupCheck, ...]
 
 
 class Check(ResultFile):
@@ -131,23 +134,25 @@ class Check(ResultFile):
     """Sentence with go or no-go and its reason."""
     level: Finite
     """False-alarm probability of the whole check."""
-    tests: tuple[Test, ...] = ()
+    tests: tuple[CauseTest, ...] = ()
     """Simple causes that the readings support, and outliers."""
-    items: tuple[Item, ...]
+    items: tuple[CheckItem, ...]
     """Items of all tests, set-up by set-up, for the readings without these causes."""
     _arrays: CheckArrays | None = PrivateAttr(None)
 
     @classmethod
-    def of(cls, arrays: CheckArrays, network: Sequence[Item], level: float, tests: Sequence[Test]) -> Self:
+    def from_items(
+        cls, arrays: CheckArrays, network: Sequence[CheckItem], level: float, tests: Sequence[CauseTest]
+    ) -> Self:
         """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
-        causes = tuple(map(item_of, tests))
+        causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
         rest = (item for item in network if item.kind != "mistake")
         items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
         made = cls(
-            recording=SourceEntry.of(arrays.recording),
+            recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
-            sentence=_answer(items, causes, len(arrays.setups)),
+            sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
             level=level,
             tests=tuple(tests),
             items=items,
@@ -166,26 +171,32 @@ class Check(ResultFile):
         return [self.sentence]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"items": lambda: ITEMS.filled(self.items), "two_face": self._two_face}
+        return {"items": lambda: ITEMS_TABLE.filled(self.items), "two_face": self._two_face_table}
 
-    def _two_face(self) -> Table:
+    def _two_face_table(self) -> Table:
         """Table of half two-face differences with their limits, one row per pair."""
         rows, recording = [], self.arrays.recording
         for setup in self.arrays.setups:
-            if (faces := setup.faces) is None:
+            if (faces := setup.two_face_differences) is None:
                 continue
-            sizes = np.concatenate([faces.pairs.half, faces.limit], axis=1) / (2 * [MICROMETRE, ARCSECOND, ARCSECOND])
-            for at, size, over in zip(setup.rows[faces.pairs.rows], sizes.tolist(), faces.over, strict=True):
+            sizes = np.concatenate([faces.uncorrected_pairs.half_differences, faces.max_half_differences], axis=1) / (
+                2 * [MICROMETRE, ARCSECOND, ARCSECOND]
+            )
+            for at, size, over in zip(
+                setup.rows[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
+            ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
-        return TWO_FACE.filled(rows)
+        return TWO_FACE_TABLE.filled(rows)
 
 
-def _answer(items: Sequence[Item], causes: Sequence[Item], setups: int) -> str:
+def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
     """Sentence with go or no-go and its reason: first causes from which others follow, then noisy targets."""
     failed = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
-    rest = sorted(failed[count:], key=lambda i: not (i.kind in CAUSES or (i.kind == "closure" and i.targets)))
+    rest = sorted(
+        failed[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
+    )
     failed = [*failed[:count], *rest]
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
@@ -194,23 +205,23 @@ def _answer(items: Sequence[Item], causes: Sequence[Item], setups: int) -> str:
 
 
 @dataclass(frozen=True)
-class Family:
-    """Family of tests of a recording: `adjusted` p-values count all tests and all places within a test."""
+class HypothesisFamily:
+    """Family of tests of a recording: `corrected_p_value` p-values count all tests and all places within a test."""
 
-    level: float
-    tests: int
+    false_alarm_rate: float
+    n_tests: int
 
     @property
     def alpha_per_test(self) -> float:
         """Part of the significance level for one test."""
-        return self.level / self.tests
+        return self.false_alarm_rate / self.n_tests
 
-    def adjusted(self, p: float, looks: int = 1) -> float:
+    def corrected_p_value(self, p_value: float, n_places: int = 1) -> float:
         """p-value corrected for the number of tests and of places within a test (Bonferroni)."""
-        return min(1.0, p * looks * self.tests)
+        return min(1.0, p_value * n_places * self.n_tests)
 
 
-def two_sided(chi2: float, dof: int) -> tuple[float, bool]:
+def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
     """Two-sided p-value of a chi-square, and a flag that it is too small."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

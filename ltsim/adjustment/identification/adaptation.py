@@ -15,22 +15,23 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.identification.fit import Fit, changed_recording
-from ltsim.adjustment.identification.hypothesis import Hypothesis, Shift
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.hypothesis import Hypothesis, ReadingShiftChange
+from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 
-def adapted(
-    fit: Fit,
+def adjust_with_causes(
+    fit: NetworkFit,
     recording: Recording,
     construction: Construction,
     hypotheses: Sequence[Hypothesis],
     *,
     effects: Sequence[Signature] = (),
-    subtracted: bool = False,
-    **how: Any,
+    subtracted_changes: bool = False,
+    **options: Any,
 ) -> Adjustment:
     """Adjustment of a recording with hypotheses of a fit in its model, from the state of the fit.
 
@@ -44,21 +45,25 @@ def adapted(
         Of the fit, all of its shifts or none.
     effects : sequence of Signature
         Further effects to estimate; they come first.
-    subtracted : bool
+    subtracted_changes : bool
         Subtract the estimated shifts from the readings. They are estimated with the network in any case: from zero
         then, and from their estimates otherwise.
     **how
         Further options of `adjust`.
     """
-    changed, shifts, values = changed_recording(recording, hypotheses), tuple[Signature, ...](), np.zeros(0)
-    if any(isinstance(h.change, Shift) for h in hypotheses):
-        shifts, values = fit.effects, fit.state.extra
-        if subtracted:
-            changed = changed.with_readings(fit.corrected(recording, outliers=True).readings)
+    changed, shifts, values = (
+        apply_corrections_and_omissions(recording, hypotheses),
+        tuple[Signature, ...](),
+        np.zeros(0),
+    )
+    if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):
+        shifts, values = fit.effects, fit.state.extra_parameters
+        if subtracted_changes:
+            changed = changed.with_readings(fit.correct_recording(recording, outliers=True).readings)
             values = np.zeros_like(values)
-    instrument = np.zeros((len(recording.instruments), construction.size))
-    if construction.size == fit.state.instrument.shape[1]:
-        instrument = fit.state.instrument
+    instrument = np.zeros((len(recording.instruments), construction.n_parameters))
+    if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
+        instrument = fit.state.instrument_parameters
     extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, values]))
-    return adjust(changed, construction, effects=(*effects, *shifts), start=start, **how)
+    start = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
+    return adjust(changed, construction, effects=(*effects, *shifts), start=start, **options)

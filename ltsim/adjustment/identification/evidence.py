@@ -1,7 +1,8 @@
 """Log evidence of hypotheses of unknown size, and their prior odds.
 
-A shift of p components has a prior that is uniform in the logarithm of its size, over `DECADES` decades, and in its
-direction (Jeffreys). In units of the standard deviations of its estimate, of length w, the marginal likelihood ratio
+A shift of p components has a prior that is uniform in the logarithm of its size, over `SHIFT_SIZE_DECADES` decades, and
+in its direction (Jeffreys). In units of the standard deviations of its estimate, of length w, the marginal likelihood
+ratio
 against no shift is, by Laplace's method,
 
     log B = w^2 / 2 - p log w + (p / 2) log(2 pi) - log S_p - log R,
@@ -18,41 +19,41 @@ from scipy import special
 
 from ltsim.core.arrays import Floats
 
-DECADES = 6.0
+SHIFT_SIZE_DECADES = 6.0
 """Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
-LOG_RANGE = float(np.log(DECADES * np.log(10.0)))
+LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
 
 
-def occam(w: Floats | float, rank: int) -> Floats:
-    """Log of the Occam factor, never positive, of shifts of `rank` components estimated at `w` standard deviations."""
-    size = np.maximum(np.asarray(w, dtype=np.float64), np.sqrt(rank))
+def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
+    """Log of the Occam factor (at most 0) of shifts of `rank` components; sizes in standard deviations."""
+    size = np.maximum(np.asarray(normalised_size, dtype=np.float64), np.sqrt(rank))
     log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
-    return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_RANGE - rank * np.log(size), 0.0)
+    return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_SIZE_PRIOR_WIDTH - rank * np.log(size), 0.0)
 
 
 FACTOR_DECADES = 2.0
 """Decades of the prior of the ratio of the noise to the declared noise, in both directions."""
 
 
-def occam_of_variance(redundancy: Floats | float) -> Floats:
+def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
     """Log of the Occam factor of a variance factor that is determined with the given redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * FACTOR_DECADES * np.log(10.0))), 0.0)
 
 
-def variance_factor(squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
     """Restricted maximum likelihood of a common factor on standard deviations, and its log likelihood ratio.
 
     The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """
     enough = np.asarray(redundancy) > 1.0
-    ratio = np.where(enough, squares / np.where(enough, redundancy, 1.0), 1.0)
+    ratio = np.where(enough, sum_of_squares / np.where(enough, redundancy, 1.0), 1.0)
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
-    gain = 0.5 * (squares - redundancy) - 0.5 * redundancy * np.log(ratio)
+    gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(enough, gain, 0.0)
 
 
-SHARE = {
+PRIOR_FRACTION_BY_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
     "scale-error": 0.05,
@@ -70,6 +71,6 @@ SHARE = {
 }
 
 
-def log_prior_of(kind: str, places: int) -> float:
+def log_prior_of(kind: str, n_places: int) -> float:
     """Log prior of a cause of the given kind at one of the given number of places."""
-    return float(np.log(SHARE[kind] / max(places, 1)))
+    return float(np.log(PRIOR_FRACTION_BY_KIND[kind] / max(n_places, 1)))

@@ -9,69 +9,77 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.evidence import (
+    estimate_variance_factor,
+    log_occam_factor_of_shift,
+    log_occam_factor_of_variance,
+    log_prior_of,
+)
 from ltsim.adjustment.identification.hypothesis import (
-    Correction,
-    Exchange,
     Hypothesis,
     NoiseFactor,
-    Omission,
-    Shift,
+    ReadingShiftChange,
+    ReferenceOmission,
 )
-from ltsim.adjustment.identification.resection import resected
+from ltsim.adjustment.identification.model_changes import (
+    apply_corrections_and_omissions,
+    start_parameters,
+    subtract_shifts,
+)
+from ltsim.adjustment.identification.resection import resect_contradicted_setups
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reference_tests import relaxed_references
+from ltsim.adjustment.reference_tests import relax_exact_references
 from ltsim.adjustment.reference_values import (
-    ReferenceRows,
     ReferenceValue,
+    ReferenceValueRows,
     common_scale,
-    drop_reference,
-    exchanged,
     reference_values,
 )
-from ltsim.adjustment.significance import FAR
-from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, prediction_spread, snoop_readings
+from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
+from ltsim.adjustment.snooping import MAX_TRACKER_ERROR, drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import robust_state
+from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State, with_plumb_lines
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import median_deviation
+from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import Solution, solve
 
-DETERMINED = 4.0
+MIN_SHIFT_SIGMAS = 4.0
 """Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000 cases."""
-REWEIGHTED, SAME_NOISE = 3, 0.05
-"""Largest number of estimates of noise factors, and relative change that ends them (0.1 in log evidence)."""
-OTHER_OUTLIERS = 0.2
+MAX_NOISE_ESTIMATES = 3
+"""Largest number of estimates of the noise factors in a fit."""
+NOISE_TOLERANCE = 0.05
+"""Relative change of the noise factors at which their estimation ends (0.1 in log evidence)."""
+MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise from which the set of outliers is determined again."""
-ROUNDS = 6
+MAX_OUTLIER_PASSES = 6
 """Largest number of solutions in which outliers are rejected and accepted again; readings that still alternate are
 rejected and indicate no cause.
 """
-FREE = 1e6
+WEAK_PRIOR_SIZES = 1e6
 """Standard deviation, in plausible sizes, of the weak prior of a shift; larger shifts do not occur."""
 
 
 @dataclass(frozen=True)
-class Network:
+class FitInput:
     """Input of a fit: recording, construction, priors of its parameters, and usable readings (n, 3)."""
 
     recording: Recording
     construction: Construction
     prior: ParameterPrior | None = None
-    usable: Bools | None = None
+    is_usable: Bools | None = None
 
 
 @dataclass(frozen=True)
-class Fit:
+class NetworkFit:
     """Network fitted with some hypotheses in its model; readings that contradict it are rejected as outliers.
 
     Attributes
@@ -85,156 +93,167 @@ class Fit:
     solution : Solution
     """
 
-    network: Network
+    network: FitInput
     hypotheses: tuple[Hypothesis, ...]
-    whole: NetworkProblem
+    problem_with_all_readings: NetworkProblem
     problem: NetworkProblem
-    solution: Solution[State]
+    solution: Solution[NetworkState]
 
     @classmethod
-    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> tuple[list[ReferenceRows], int]:
+    def far_references(
+        cls, network: FitInput, hypotheses: Sequence[Hypothesis]
+    ) -> tuple[list[ReferenceValueRows], int]:
         """Reference values with large residuals at a robust state, and the number of all reference values.
 
         A network that uses them is distorted as a whole.
         """
-        problem, start = cls._problem(network, hypotheses)
-        relaxed = relaxed_references(problem, start)
-        state, residual = robust_state(relaxed, resected(relaxed, start))
-        limit = FAR * max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
+        problem, start = cls._make_problem(network, hypotheses)
+        relaxed = relax_exact_references(problem, start)
+        state, residual = fit_robust_state(relaxed, resect_contradicted_setups(relaxed, start))
+        limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
 
     @classmethod
-    def of(
+    def from_start(
         cls,
-        network: Network,
+        network: FitInput,
         hypotheses: Sequence[Hypothesis] = (),
-        start: State | None = None,
-        near: Sightings | None = None,
-    ) -> Fit | None:
+        start: NetworkState | None = None,
+        approximate_sizes: Sightings | None = None,
+    ) -> NetworkFit | None:
         """Fit from a start, by default from the recording alone; None for an undetermined network.
 
-        If the sightings `near` are given, the start is computed from the recording without the guessed shifts of the
-        hypotheses.
+        If the sightings `approximate_sizes` are given, the start is computed from the recording without the guessed
+        shifts of the hypotheses.
         """
         fresh = start is None
-        problem, start = cls._problem(network, hypotheses, start, near)
+        problem, start = cls._make_problem(network, hypotheses, start, approximate_sizes)
         if fresh:
-            start = resected(problem, robust_state(problem, resected(problem, start))[0])
+            start = resect_contradicted_setups(
+                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start))[0]
+            )
         whole = drop_undetermined(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, ROUNDS))
-        if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
-            fit = fit._reweighted()
-        return fit if fit.solution.converged and fit._is_determined else None
+        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, MAX_OUTLIER_PASSES))
+        if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
+            fit = fit._with_estimated_noise()
+        return fit if fit.solution.has_converged and fit._determines_shifts else None
 
     @property
-    def _is_determined(self) -> bool:
+    def _determines_shifts(self) -> bool:
         """True if the readings determine each shift; one that is equivalent to a change of coordinates has no size."""
-        return all(self.length(h) > DETERMINED for h, _, _ in self.shifts)
+        return all(self.length_in_sigmas(h) > MIN_SHIFT_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
-    def shifts(self) -> Iterator[tuple[Hypothesis, Shift, slice]]:
+    def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
         """Hypotheses that are shifts, with the slices of their parameters in the state."""
         first = 0
         for h in self.hypotheses:
-            if isinstance(h.change, Shift):
-                yield h, h.change, slice(first, first := first + len(h.change.effect.parameters))
+            if isinstance(h.model_change, ReadingShiftChange):
+                yield h, h.model_change, slice(first, first := first + len(h.model_change.effect.parameters))
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
-        at = next(at for h, _, at in self.shifts if h is hypothesis)
-        return self.state.extra[at], self.adjustment.extra_covariance[at, at]
+        at = next(at for h, _, at in self.shifts_with_slices if h is hypothesis)
+        return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
 
-    def length(self, hypothesis: Hypothesis) -> float:
+    def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift in its standard deviations."""
         values, covariance = self.estimate(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
 
     @staticmethod
-    def _problem(
-        network: Network,
+    def _make_problem(
+        network: FitInput,
         hypotheses: Sequence[Hypothesis],
-        start: State | None = None,
-        near: Sightings | None = None,
-    ) -> tuple[NetworkProblem, State]:
-        """Problem with all usable readings, and a start, as in `of`."""
-        recording = changed_recording(network.recording, hypotheses)
+        start: NetworkState | None = None,
+        approximate_sizes: Sightings | None = None,
+    ) -> tuple[NetworkProblem, NetworkState]:
+        """Problem with all usable readings, and a start, as in `from_start`."""
+        recording = apply_corrections_and_omissions(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start is None:
-            reached, lost = initial_network(recording if near is None else _unshifted(recording, hypotheses, near))
+            reached, lost = initial_network(
+                recording if approximate_sizes is None else subtract_shifts(recording, hypotheses, approximate_sizes)
+            )
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
-            parameters = np.zeros((len(recording.instruments), network.construction.size))
-            start = State(*reached, parameters if network.prior is None else network.prior.mean)
-        recording = with_plumb_lines(recording, start.position)
-        effects = tuple(h.change.effect for h in hypotheses if isinstance(h.change, Shift))
+            parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
+            start = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start.station_positions)
+        effects = tuple(h.model_change.effect for h in hypotheses if isinstance(h.model_change, ReadingShiftChange))
         model = MeasurementModel(recording, network.construction, effects)
-        if len(start.extra) != model.extra_size:
-            start = replace(start, extra=_guesses(hypotheses, model.extra_size, near))
-        usable = np.ones((len(recording), 3), dtype=bool) if network.usable is None else network.usable
+        if len(start.extra_parameters) != model.n_extra_parameters:
+            start = replace(
+                start, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
+            )
+        usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
         sigma = recording.sigma()
         for h in hypotheses:
-            if isinstance(h.change, NoiseFactor):
-                sigma = np.where(h.change.readings, sigma * h.change.guess, sigma)
-        problem = NetworkProblem.of(
+            if isinstance(h.model_change, NoiseFactor):
+                sigma = np.where(h.model_change.reading_mask, sigma * h.model_change.start_factor, sigma)
+        problem = NetworkProblem.from_model(
             model,
             sigma=sigma,
-            use=usable & ~lost[recording.target][:, None],
-            held_to=FREE,
+            reading_mask=usable & ~lost[recording.target][:, None],
+            effect_prior_sigma=WEAK_PRIOR_SIZES,
             prior=network.prior,
         )
-        return problem, replace(start, position=problem.marks.on_marks(start.position, start.points))
+        positions = problem.marks.positions_on_marks(start.station_positions, start.target_points)
+        return problem, replace(start, station_positions=positions)
 
-    def _reweighted(self) -> Fit:
+    def _with_estimated_noise(self) -> NetworkFit:
         """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
         fit = self
-        for _ in range(REWEIGHTED):
-            sigma = fit._sigma()
-            changed = float(np.nanmax(np.abs(np.log(sigma / fit.whole.sigma))))
-            if not changed > SAME_NOISE:
+        for _ in range(MAX_NOISE_ESTIMATES):
+            sigma = fit._estimated_sigmas()
+            changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
+            if not changed > NOISE_TOLERANCE:
                 break
-            whole, problem = replace(fit.whole, sigma=sigma), replace(fit.problem, sigma=sigma)
+            whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
-            if solution.factor is None or changed > OTHER_OUTLIERS:
-                problem, solution = snoop_readings(whole, fit.state, ROUNDS)
-            fit = replace(fit, whole=whole, problem=problem, solution=solution)
+            if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIERS:
+                problem, solution = snoop_readings(whole, fit.state, MAX_OUTLIER_PASSES)
+            fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
 
-    def _sigma(self) -> Floats:
+    def _estimated_sigmas(self) -> Floats:
         """Standard deviations (n, 3) with the noise factors that the residuals imply."""
         sigma = self.network.recording.sigma()
         for h in self.hypotheses:
-            if isinstance(h.change, NoiseFactor):
-                chosen = h.change.readings & self.problem.use
+            if isinstance(h.model_change, NoiseFactor):
+                chosen = h.model_change.reading_mask & self.problem.used_readings
                 squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
-                factor, _ = variance_factor(np.array(squares), np.array(float(np.nansum(self.redundancy[chosen]))))
-                sigma = np.where(h.change.readings, sigma * factor, sigma)
+                factor, _ = estimate_variance_factor(
+                    np.array(squares), np.array(float(np.nansum(self.redundancy[chosen])))
+                )
+                sigma = np.where(h.model_change.reading_mask, sigma * factor, sigma)
         return sigma
 
-    def without_distances(self, rows: Ints) -> Fit | None:
+    def without_distances(self, rows: Ints) -> NetworkFit | None:
         """Fit from the beginning without the distances of some rows; None if they are needed for a network."""
         readings = self.network.recording.readings.copy()
         readings[rows, 0] = np.nan
         network = replace(self.network, recording=self.network.recording.with_readings(readings))
         try:
-            return Fit.of(network, self.hypotheses)
+            return NetworkFit.from_start(network, self.hypotheses)
         except NetworkError:
             return None
 
     def residuals_of(self, recording: Recording) -> Floats:
         """Readings (n, 3) of a recording with the same pointings minus the predicted ones [m, rad, rad]."""
         gap = recording.readings - self.problem.model.predict(self.state)
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted poses, targets and parameters."""
         return self.solution.x
 
     @cached_property
     def adjustment(self) -> Adjustment:
         """Adjustment with the state and readings of the fit."""
-        out = self.recording.measured.any(axis=1) & ~self.problem.use.any(axis=1)
+        out = self.recording.measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property
@@ -246,26 +265,26 @@ class Fit:
     def effects(self) -> tuple[Signature, ...]:
         """The shifts in the model, each with a plausible size of at least its estimate."""
         signatures = list[Signature]()
-        for _, shift, at in self.shifts:
-            times = float(np.max(np.abs(self.state.extra[at]) / shift.effect.spread))
+        for _, shift, at in self.shifts_with_slices:
+            times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
             signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
         return tuple(signatures)
 
-    def corrected(self, recording: Recording, outliers: bool = False) -> Recording:
-        """Recording corrected for the hypotheses in the model; `outliers` decides whether outliers remain.
+    def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:
+        """Recording corrected for the hypotheses in the model; `is_outlier` decides whether outliers remain.
 
         Rows are corrected, shifts are subtracted, estimated noise factors are applied to the declared noise, and
         rejected reference values are removed.
         """
         readings = self.recording.readings.copy()
-        for _, shift, at in self.shifts:
-            readings -= shift.effect.shift(self.adjustment.sightings, self.state.extra[at])
+        for _, shift, at in self.shifts_with_slices:
+            readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
         if not outliers:
-            readings[self.outliers] = np.nan
+            readings[self.is_outlier] = np.nan
         corrected = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
-        if not any(isinstance(h.change, NoiseFactor) for h in self.hypotheses):
+        if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
             return corrected
         sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
@@ -274,12 +293,14 @@ class Fit:
     @cached_property
     def residuals(self) -> Floats:
         """Observed minus predicted readings (n, 3) [m, rad, rad], including outliers."""
-        return self.problem.residuals(self.problem.model.predict(self.state))
+        return self.problem.reading_residuals(self.problem.model.predict(self.state))
 
     @cached_property
-    def whitened(self) -> Floats:
+    def whitened_residuals(self) -> Floats:
         """Residuals divided by the standard deviations, (n, 3); 0 for unusable readings."""
-        return np.where(self.whole.use, np.nan_to_num(self.residuals / self.problem.sigma), 0.0)
+        return np.where(
+            self.problem_with_all_readings.used_readings, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
+        )
 
     @property
     def redundancy(self) -> Floats:
@@ -287,112 +308,85 @@ class Fit:
         return self.adjustment.redundancy
 
     @cached_property
-    def outliers(self) -> Bools:
+    def is_outlier(self) -> Bools:
         """Flags (n, 3) of the usable readings that are rejected."""
-        return self.whole.use & ~self.problem.use
+        return self.problem_with_all_readings.used_readings & ~self.problem.used_readings
 
     @cached_property
-    def prediction_spread(self) -> Floats:
+    def outlier_prediction_sigmas(self) -> Floats:
         """Standard deviations (n, 3) of the deviations of outliers from their predictions, over the declared ones.
 
         They are 1 for other readings.
         """
-        spread = np.ones(self.outliers.shape)
-        if self.outliers.any():
-            spread[self.outliers] = prediction_spread(self.whole, self.solution, self.outliers)
+        spread = np.ones(self.is_outlier.shape)
+        if self.is_outlier.any():
+            spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
         return spread
 
-    def _missed_by(self, value: ReferenceValue) -> float:
+    def _normalised_misclosure(self, value: ReferenceValue) -> float:
         """Misclosure of an omitted reference value, in its declared standard deviations."""
-        return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
+        return float(np.linalg.norm(self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
 
-    def gap_of(self, value: ReferenceValue) -> Floats:
+    def misclosure_of(self, value: ReferenceValue) -> Floats:
         """Misclosure (q,) [m, rad] of an omitted reference value in the adjusted network."""
         model = replace(self.problem.model, recording=self.network.recording)
-        declared = NetworkProblem.of(model, use=self.problem.use)
+        declared = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
-            over = declared.marks.on_marks(self.state.position, self.state.points)
-            return np.asarray(self.state.position[station] - over[station])
+            over = declared.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
+            return np.asarray(self.state.station_positions[station] - over[station])
         every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
         """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
-        change, sightings = hypothesis.change, self.adjustment.sightings
-        if isinstance(change, Omission):
-            return float(np.abs(self.gap_of(change.value)).max())
-        if not isinstance(change, Shift):
+        change, sightings = hypothesis.model_change, self.adjustment.sightings
+        if isinstance(change, ReferenceOmission):
+            return float(np.abs(self.misclosure_of(change.reference_value)).max())
+        if not isinstance(change, ReadingShiftChange):
             return 0.0
         moved = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
-        return float(np.max(moved * _arms(sightings)))
+        return float(np.max(moved * _displacement_per_reading(sightings)))
 
     @property
-    def is_gross(self) -> Bools:
+    def is_gross_reading(self) -> Bools:
         """Flags (n, 3) of the readings with deviations beyond any error of a tracker."""
-        return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
+        return (
+            np.abs(np.nan_to_num(self.residuals)) * _displacement_per_reading(self.adjustment.sightings)
+            > MAX_TRACKER_ERROR
+        )
 
     @cached_property
-    def outlier_terms(self) -> float:
+    def outlier_log_evidence(self) -> float:
         """Log of the Occam factors and priors of all outliers."""
-        w = np.abs(self.whitened[self.outliers])
-        return float(np.sum(occam(w, 1))) + len(w) * log_prior_of("outlier", int(self.whole.use.sum()))
+        w = np.abs(self.whitened_residuals[self.is_outlier])
+        return float(np.sum(log_occam_factor_of_shift(w, 1))) + len(w) * log_prior_of(
+            "outlier", int(self.problem_with_all_readings.used_readings.sum())
+        )
 
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
-        total = -0.5 * self.solution.cost + sum(h.log_prior for h in self.hypotheses)
-        total += self.outlier_terms
+        total = -0.5 * self.solution.sum_of_squares + sum(h.log_prior for h in self.hypotheses)
+        total += self.outlier_log_evidence
         for h in self.hypotheses:
-            if isinstance(h.change, Shift):
-                total += float(occam(self.length(h), len(h.change.effect.parameters)))
-            elif isinstance(h.change, NoiseFactor):
-                chosen = h.change.readings & self.problem.use
+            if isinstance(h.model_change, ReadingShiftChange):
+                total += float(
+                    log_occam_factor_of_shift(self.length_in_sigmas(h), len(h.model_change.effect.parameters))
+                )
+            elif isinstance(h.model_change, NoiseFactor):
+                chosen = h.model_change.reading_mask & self.problem.used_readings
                 redundancy = np.nansum(self.redundancy[chosen])
                 ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
                 total -= float(np.sum(np.nan_to_num(self.redundancy[chosen]) * np.log(ratio)))
-                total += float(occam_of_variance(redundancy))
-            elif isinstance(h.change, Omission):
-                total += float(occam(self._missed_by(h.change.value), len(h.change.value.sigma)))
+                total += float(log_occam_factor_of_variance(redundancy))
+            elif isinstance(h.model_change, ReferenceOmission):
+                value = h.model_change.reference_value
+                total += float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
         return total
 
 
-def _arms(sightings: Sightings) -> Floats:
+def _displacement_per_reading(sightings: Sightings) -> Floats:
     """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
-
-
-def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None) -> Floats:
-    """Start values (q,) of the parameters of the shifts."""
-    shifts = [h.change for h in hypotheses if isinstance(h.change, Shift)]
-    values = [s.guess if near is not None and s.guess else (0.0,) * len(s.effect.parameters) for s in shifts]
-    whole = np.zeros(size)
-    flat = [v for value in values for v in value]
-    whole[: len(flat)] = flat
-    return whole
-
-
-def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sightings) -> Recording:
-    """Recording without the shifts of the hypotheses, at their guessed sizes."""
-    readings = recording.readings.copy()
-    for h in hypotheses:
-        if isinstance(h.change, Shift) and h.change.guess:
-            readings -= h.change.effect.shift(near, np.array(h.change.guess))
-    return recording.with_readings(readings)
-
-
-def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
-    """Recording with corrected rows, and without rejected reference values."""
-    readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
-    for h in hypotheses:
-        if isinstance(h.change, Correction):
-            rows = h.change.rows
-            readings[rows], target[rows], face[rows] = h.change.readings, h.change.target, h.change.face
-    recording = recording.replace(readings=readings, target=target, face=face)
-    for h in hypotheses:
-        if isinstance(h.change, Omission):
-            recording = drop_reference(recording, h.change.value)
-        elif isinstance(h.change, Exchange):
-            recording = exchanged(recording, *h.change.names)
-    return recording

@@ -9,7 +9,7 @@ from ltsim.adjustment.reference_values import ReferenceValue
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import Signature
 
-Kind = Literal[
+CauseKind = Literal[
     "outlier",
     "constant-offset",
     "scale-error",
@@ -25,31 +25,32 @@ Kind = Literal[
     "height",
     "noise-level",
 ]
+"""Kind of a simple cause of disagreement between readings and model."""
 
 
 @dataclass(frozen=True)
-class Shift:
+class ReadingShiftChange:
     """Shift of readings: a signature with estimated parameters, and the start values of their estimation."""
 
     effect: Signature
-    guess: tuple[float, ...] = ()
+    start_values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
-class Omission:
+class ReferenceOmission:
     """Rejection of a reference value."""
 
-    value: ReferenceValue
+    reference_value: ReferenceValue
 
 
 @dataclass(frozen=True)
-class Correction:
+class RowCorrection:
     """Correction of wrongly recorded rows: correct readings (k, 3), targets and faces (k,)."""
 
     rows: Ints
     readings: Floats
-    target: Ints
-    face: Ints
+    target_indices: Ints
+    faces: Ints
 
 
 @dataclass(frozen=True)
@@ -59,18 +60,19 @@ class NoiseFactor:
     The estimation starts from a guess, because with the declared noise many readings would be outliers.
     """
 
-    readings: Bools
-    guess: float = 1.0
+    reading_mask: Bools
+    start_factor: float = 1.0
 
 
 @dataclass(frozen=True)
-class Exchange:
+class CoordinateExchange:
     """Exchange of the reference coordinates of two targets."""
 
-    names: tuple[str, str]
+    target_names: tuple[str, str]
 
 
-Change = Shift | Omission | Correction | NoiseFactor | Exchange
+ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange
+"""Change of the network's model by a hypothesis."""
 
 
 @dataclass(frozen=True)
@@ -94,21 +96,28 @@ class Hypothesis:
         Rows, from 1, that it is about, where these are few.
     """
 
-    kind: Kind
+    kind: CauseKind
+    """Kind of the cause."""
     acts_on: str
+    """Observable or reference value that the cause changes."""
     stations: tuple[str, ...]
+    """Names of the stations at which the cause acts; empty for all."""
     targets: tuple[str, ...]
+    """Names of the targets at which the cause acts; empty for all."""
     log_prior: float
-    change: Change
+    """Logarithm of the prior odds."""
+    model_change: ModelChange
+    """Change of the model by the cause."""
     name: str = ""
     rows: tuple[int, ...] = ()
+    """Row numbers of the affected pointings."""
 
     @property
-    def place(self) -> tuple[object, ...]:
+    def place_key(self) -> tuple[object, ...]:
         """Key of the place; hypotheses with equal keys are equivalent and differ only in time and guess."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
-    def competes(self, other: Hypothesis) -> bool:
+    def competes_with(self, other: Hypothesis) -> bool:
         """True if both may explain the same readings: same station or target, or one of them acts everywhere."""
         places = [(*h.stations, *h.targets) for h in (self, other)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -15,20 +15,20 @@ import numpy as np
 
 from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blunders
 from ltsim.adjustment.identification.evidence import log_prior_of
-from ltsim.adjustment.identification.fit import Fit
+from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
-    Correction,
-    Exchange,
+    CauseKind,
+    CoordinateExchange,
     Hypothesis,
-    Kind,
     NoiseFactor,
-    Omission,
-    Shift,
+    ReadingShiftChange,
+    ReferenceOmission,
+    RowCorrection,
 )
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.adjustment.reference_values import ReferenceRows, reference_values, without_coordinates
+from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values, without_reference_coordinates
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.station_motions import EvenMotion
+from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
@@ -41,27 +41,28 @@ from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
-LEAST_REPEATED = 4
+MIN_POINTINGS_FOR_TARGET_NOISE = 4
 """Smallest number of pointings to a target at which it may have separate noise; with two or three an outlier explains
 as much.
 """
-MIN_POINTINGS = 3
+MIN_POINTINGS_AROUND_MOTION = 3
 """Smallest number of pointings before and after the time at which a station moves; with fewer a single reading explains
 as much.
 """
-MOST_MOMENTS = 60
+MAX_CHANGE_TIMES = 60
 """Largest number of times at which a change is tried at one station or target, spread evenly over its pointings."""
-LEAST_POINTS = 4
+MIN_POINTS_FOR_EXCHANGE = 4
 """Smallest number of reference points of which two can be identified as exchanged; three also fit
 their mirror image.
 """
-HEALED = 0.02
+MIN_EXCHANGE_MISCLOSURE_RATIO = 0.02
 """Ratio of the largest misclosures of reference points with and without an exchange that no other cause produces."""
-Place = Literal["station", "target"]
+PlaceKind = Literal["station", "target"]
+"""Kind of place at which a family of hypotheses acts."""
 
 
 @dataclass(frozen=True)
-class Family:
+class ShiftFamily:
     """Family of hypotheses: one kind of shift at every station or target.
 
     Attributes
@@ -76,115 +77,115 @@ class Family:
         beginning.
     """
 
-    kind: Kind
+    kind: CauseKind
     acts_on: str
-    place: Place
+    place_kind: PlaceKind
     design: Floats
-    onset: int = 0
+    first_onset: int = 0
 
-    def moments(self, sightings: Sightings, rows: Ints) -> list[float]:
+    def candidate_onsets(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a change is tried at the place with these rows, in the order of measurement."""
-        if not self.onset:
+        if not self.first_onset:
             return [-np.inf]
         times = sightings.time[rows]
         middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
-        inner = slice(self.onset - 1, max(len(middle) - self.onset + 1, self.onset - 1))
-        chosen = np.flatnonzero(gap[inner] > 0.0) + self.onset - 1
-        if self.place == "target":  # what moves between two pointings of one station is as well told of its set-up
+        inner = slice(self.first_onset - 1, max(len(middle) - self.first_onset + 1, self.first_onset - 1))
+        chosen = np.flatnonzero(gap[inner] > 0.0) + self.first_onset - 1
+        if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[chosen] != 0
             chosen = chosen[moved] if moved.any() else chosen
-        if len(chosen) > MOST_MOMENTS:
-            chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_MOMENTS).round().astype(int)]
+        if len(chosen) > MAX_CHANGE_TIMES:
+            chosen = chosen[np.linspace(0, len(chosen) - 1, MAX_CHANGE_TIMES).round().astype(int)]
         return middle[chosen].tolist()
 
-    def effect(self, name: str, since: float) -> Signature:
-        """Effect of this family at a named station or target, starting at the time `since` [s]."""
+    def make_effect(self, name: str, onset_time: float) -> Signature:
+        """Effect of this family at a named station or target, starting at the time `onset_time` [s]."""
         names = (name,)
-        stations, targets = (names, ()) if self.place == "station" else ((), names)
+        stations, targets = (names, ()) if self.place_kind == "station" else ((), names)
         if self.kind == "station-bump":
-            return StationBump(stations, targets, time=since)
+            return StationBump(stations, targets, time=onset_time)
         if self.kind == "station-drift":
-            return EvenMotion(stations, targets)
+            return UniformMotion(stations, targets)
         if self.kind == "target-moved":
-            return TargetMoved(stations, targets, time=since)
+            return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
             return SmrOffset(stations, targets)
-        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, since)
+        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time)
 
 
-def families(sightings: Sightings) -> Iterator[Family]:
+def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     """Families that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
     )
     if stations:
-        yield Family("constant-offset", "distance", "station", distance)
-        yield Family("constant-offset", "elevation", "station", elevation)
-        yield Family("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
-        yield Family("constant-offset", "distance", "target", distance)
-        yield Family("target-moved", "position", "target", sightings.by_target, onset=1)
-        if np.isfinite(sightings.nest_normal).all(axis=1).any():
-            yield Family("reflector-radius", "position", "station", SmrOffset().design(sightings))
+        yield ShiftFamily("constant-offset", "distance", "station", distance)
+        yield ShiftFamily("constant-offset", "elevation", "station", elevation)
+        yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
+        yield ShiftFamily("constant-offset", "distance", "target", distance)
+        yield ShiftFamily("target-moved", "position", "target", sightings.target_derivatives, first_onset=1)
+        if np.isfinite(sightings.nest_normals).all(axis=1).any():
+            yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_design(sightings)
-    yield Family("orientation", "azimuth", "station", azimuth, onset=MIN_POINTINGS)
-    yield Family("station-bump", "position", "station", motion, onset=MIN_POINTINGS)
-    yield Family("station-drift", "position", "station", EvenMotion().design(sightings))
+    yield ShiftFamily("orientation", "azimuth", "station", azimuth, first_onset=MIN_POINTINGS_AROUND_MOTION)
+    yield ShiftFamily("station-bump", "position", "station", motion, first_onset=MIN_POINTINGS_AROUND_MOTION)
+    yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ShiftCandidate:
     """Candidate shift of a family at a place, from a time on."""
 
-    family: Family
-    name: str
-    since: float
-    rows: Ints
+    family: ShiftFamily
+    place_name: str
+    onset_time: float
+    affected_rows: Ints
     """Pointings on which it acts."""
-    before: Ints
+    earlier_rows: Ints
     """Earlier pointings of the place."""
-    places: int
+    n_places: int
     """Number of places of this kind of hypothesis, among which its prior probability is divided."""
 
-    def hypothesis(self, guess: Floats) -> Hypothesis:
+    def make_hypothesis(self, start_values: Floats) -> Hypothesis:
         """Hypothesis of the candidate, whose estimation starts at a guess (p,)."""
-        effect = self.family.effect(self.name, self.since)
+        effect = self.family.make_effect(self.place_name, self.onset_time)
         kind, acts_on = self.family.kind, self.family.acts_on
-        change = Shift(effect, tuple(guess.tolist()))
+        change = ReadingShiftChange(effect, tuple(start_values.tolist()))
         return Hypothesis(kind, acts_on, effect.stations, effect.targets, self.log_prior, change)
 
     @property
     def log_prior(self) -> float:
         """Log prior odds."""
-        return log_prior_of(self.family.kind, self.places)
+        return log_prior_of(self.family.kind, self.n_places)
 
 
-def candidates(sightings: Sightings) -> list[Candidate]:
+def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     """Candidate shifts of all families."""
-    shifts: list[tuple[Family, str, float, Ints, Ints]] = []
-    for family in families(sightings):
-        station = family.place == "station"
+    shifts: list[tuple[ShiftFamily, str, float, Ints, Ints]] = []
+    for family in shift_families(sightings):
+        station = family.place_kind == "station"
         index = sightings.station if station else sightings.target
         names = sightings.station_names if station else sightings.target_names
-        order = sightings.order[np.argsort(index[sightings.order], kind="stable")]
+        order = sightings.measurement_order[np.argsort(index[sightings.measurement_order], kind="stable")]
         edges = np.searchsorted(index[order], np.arange(len(names) + 1))
         for i, name in enumerate(names):
             rows = order[edges[i] : edges[i + 1]]
-            for since in family.moments(sightings, rows) if len(rows) else ():
+            for since in family.candidate_onsets(sightings, rows) if len(rows) else ():
                 late = sightings.time[rows] >= since
                 shifts.append((family, name, since, rows[late], rows[~late]))
-    count: dict[Kind, int] = {}
+    count: dict[CauseKind, int] = {}
     for family, *_ in shifts:
         count[family.kind] = count.get(family.kind, 0) + 1
-    return [Candidate(*shift, count[shift[0].kind]) for shift in shifts]
+    return [ShiftCandidate(*shift, count[shift[0].kind]) for shift in shifts]
 
 
-def omissions(fit: Fit) -> list[Hypothesis]:
+def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
     """Hypotheses that a reference value is wrong, one for each of a fit."""
-    return omissions_of(fit.recording, list(reference_values(fit.problem, fit.state)))
+    return omissions_of_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
-def omissions_of(recording: Recording, values: Sequence[ReferenceRows]) -> list[Hypothesis]:
+def omissions_of_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
     """Hypotheses that a reference value is wrong, one for each of the given ones."""
     hypotheses = []
     for v in values:
@@ -194,11 +195,11 @@ def omissions_of(recording: Recording, values: Sequence[ReferenceRows]) -> list[
         )
         stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
         prior = log_prior_of("reference-value", len(values))
-        hypotheses.append(Hypothesis("reference-value", v.kind, stations, targets, prior, Omission(v), v.name))
+        hypotheses.append(Hypothesis("reference-value", v.kind, stations, targets, prior, ReferenceOmission(v), v.name))
     return hypotheses
 
 
-MISTAKES: dict[str, Kind] = {
+CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
     "target-swap": "names",
     "wrong-unit": "unit",
     "face-confusion": "unit",
@@ -206,13 +207,13 @@ MISTAKES: dict[str, Kind] = {
 }
 
 
-def corrections(fit: Fit) -> list[Hypothesis]:
+def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
     """Hypotheses of wrongly recorded rows, by the positions of outliers after correction."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
-    missed = np.asarray((fit.outliers & fit.is_gross).any(axis=1)) | fit.adjustment.gross
-    for mistake, readings, target in detect_blunders(replace(fit.adjustment, gross=missed)):
-        kind = MISTAKES[mistake.effect]
-        change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
+    missed = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
+    for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=missed)):
+        kind = CAUSE_KIND_BY_UNIT_ERROR[mistake.effect]
+        change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
         prior = log_prior_of(kind, places)
         hypotheses.append(
@@ -221,54 +222,54 @@ def corrections(fit: Fit) -> list[Hypothesis]:
     return hypotheses
 
 
-def conventions(recording: Recording) -> list[Hypothesis]:
+def convention_corrections(recording: Recording) -> list[Hypothesis]:
     """Hypotheses of set-ups in another unit, sense or face, from the shape of their points without a network."""
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
         rows = mistake.rows
-        change = Correction(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
+        change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of("unit", len(recording.stations))
         hypotheses.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
     return hypotheses
 
 
-def exchanges(recording: Recording) -> list[Hypothesis]:
+def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
     """Hypotheses of exchanged coordinates of two reference points.
 
     They follow from the shape of the network without reference points.
     """
     declared = {name: recording.target_setup(name) for name in recording.targets}
     names = [name for name, target in declared.items() if target.known_mm is not None and target.known_axes == "xyz"]
-    if len(names) < LEAST_POINTS:
+    if len(names) < MIN_POINTS_FOR_EXCHANGE:
         return []
     try:
-        (_, _, points), _ = initial_network(without_coordinates(recording))
+        (_, _, points), _ = initial_network(without_reference_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
         there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
         miss = largest_residual(here, there)
         pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_residual(here, there[_swapped(len(names), *pair)]) for pair in pairs]
+        swapped = [largest_residual(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
     best = int(np.argmin(swapped))
-    if not swapped[best] < HEALED * min([miss, *swapped[:best], *swapped[best + 1 :]]):
+    if not swapped[best] < MIN_EXCHANGE_MISCLOSURE_RATIO * min([miss, *swapped[:best], *swapped[best + 1 :]]):
         return []
     first, second = (names[i] for i in pairs[best])
     sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
     prior = log_prior_of("names", len(pairs))
-    return [Hypothesis("names", "point", (), (first, second), prior, Exchange((first, second)), sentence)]
+    return [Hypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)]
 
 
-def _swapped(count: int, first: int, second: int) -> list[int]:
+def _swapped_order(n_points: int, first: int, second: int) -> list[int]:
     """Order of points with two of them exchanged."""
-    order = list(range(count))
+    order = list(range(n_points))
     order[first], order[second] = second, first
     return order
 
 
-def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
+def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     """Hypotheses of other noise of all readings, an observable, a target or a station; affected readings (n, 3)."""
     recording = fit.recording
     every = np.ones((len(recording), 3), dtype=bool)
@@ -285,7 +286,7 @@ def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
         yield noise(observable, (), (), places, column), column
     for t, name in enumerate(recording.targets):
         rows = every & (recording.target == t)[:, None]
-        if rows[:, 0].sum() >= LEAST_REPEATED:
+        if rows[:, 0].sum() >= MIN_POINTINGS_FOR_TARGET_NOISE:
             yield noise("noise", (), (name,), places, rows), rows
     for s, name in enumerate(recording.stations) if several else ():
         rows = every & (recording.station == s)[:, None]

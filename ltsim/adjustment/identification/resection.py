@@ -12,43 +12,46 @@ import numpy as np
 
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.sight import Sight
-from ltsim.adjustment.significance import FAR, MAJORITY
-from ltsim.adjustment.snooping import whitened_readings
-from ltsim.core.arrays import Bools, grouped
-from ltsim.physics.model.measurement import State
+from ltsim.adjustment.sight import FitReadings
+from ltsim.adjustment.significance import MIN_FAR_RESIDUAL, MIN_FAULTY_FRACTION_OF_PLACE
+from ltsim.adjustment.snooping import whitened_residuals
+from ltsim.core.arrays import Bools, group_rows
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.solve.design import median_deviation
+from ltsim.solve.design import robust_sigma
 
 
-def resected(problem: NetworkProblem, state: State) -> State:
+def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> NetworkState:
     """State in which set-ups with mostly far residuals are resected from two of their observables.
 
     The results must be near.
     """
-    recording, far = problem.model.recording, _far(problem, state)
-    if not far.any() or far[problem.use].mean() > MAJORITY:
+    recording, far = problem.model.recording, _is_far(problem, state)
+    if not far.any() or far[problem.used_readings].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
         return state
-    whole, now = Sight.of(recording), far
-    for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
-        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MAJORITY:
+    whole, now = FitReadings.from_recording(recording), far
+    for station, rows in group_rows(recording.station, np.flatnonzero(problem.used_readings.any(axis=1))):
+        if (
+            problem.marks.target_indices[station] >= 0
+            or far[rows][problem.used_readings[rows]].mean() <= MIN_FAULTY_FRACTION_OF_PLACE
+        ):
             continue
-        sight = whole.at(rows)
+        sight = whole.select_rows(rows)
         for observable in range(len(OBSERVABLES)):
-            pose = fit_pose(sight.without(observable), state.points[recording.target[rows]])
+            pose = fit_pose(sight.without_observable(observable), state.target_points[recording.target[rows]])
             if pose is None:
                 continue
-            position, rotation = state.position.copy(), state.rotation.copy()
+            position, rotation = state.station_positions.copy(), state.station_rotations.copy()
             position[station], rotation[station] = pose
-            moved = replace(state, position=position, rotation=rotation)
-            then = _far(problem, moved)
+            moved = replace(state, station_positions=position, station_rotations=rotation)
+            then = _is_far(problem, moved)
             if then[rows].sum() < now[rows].sum():
                 state, now = moved, then
     return state
 
 
-def _far(problem: NetworkProblem, state: State) -> Bools:
+def _is_far(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (n, 3) of the used readings with far residuals."""
-    whitened = whitened_readings(problem, state)
-    scale = max(median_deviation(whitened[problem.use]), 1.0)
-    return np.asarray(problem.use & (whitened > FAR * scale))
+    whitened = whitened_residuals(problem, state)
+    scale = max(robust_sigma(whitened[problem.used_readings]), 1.0)
+    return np.asarray(problem.used_readings & (whitened > MIN_FAR_RESIDUAL * scale))

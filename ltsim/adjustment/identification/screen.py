@@ -14,238 +14,280 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fitting import fit_point
-from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
-from ltsim.adjustment.identification.fit import Fit
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
-from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
-from ltsim.adjustment.identification.local_shifts import LocalShift, fitted_shifts
-from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
+from ltsim.adjustment.identification.evidence import (
+    estimate_variance_factor,
+    log_occam_factor_of_shift,
+    log_occam_factor_of_variance,
+    log_prior_of,
+)
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
+from ltsim.adjustment.identification.library import (
+    ShiftCandidate,
+    noise_hypotheses,
+    reference_omissions,
+    row_corrections,
+    shift_candidates,
+)
+from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relax_exact_references
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.sight import Sight
-from ltsim.adjustment.significance import UNCHECKED
-from ltsim.core.arrays import AT_ONCE, Bools, Floats, Ints
+from ltsim.adjustment.sight import FitReadings
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats, Ints
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-EXACT = 3_000_000
+MAX_EXACTLY_PROJECTED_ENTRIES = 3_000_000
 """Number of entries of all signatures up to which all are projected exactly; of more only the best ones by their own
 rows.
 """
-MANY, HALF, PLACES = 6, 0.4, 5
-"""Number of outliers, and fraction of gross ones among a place's pointings, from which its distances are removed for a
-trial; number of such places.
-"""
-SEVERAL = 2
+MIN_OUTLIERS_FOR_TRIAL = 6
+"""Number of outliers at a place from which its distances are removed for a trial."""
+MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
+"""Fraction of gross pointings at a place from which its distances are removed for a trial."""
+MAX_TRIAL_PLACES = 5
+"""Largest number of places whose distances are removed for a trial."""
+MIN_LENGTHS_FOR_SCALE = 2
 """Smallest number of reference lengths that share a scale."""
 
 
-def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
+def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     """Hypotheses with their approximate gain of log evidence, the largest first."""
-    every = candidates(fit.adjustment.sightings)
+    every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
-    plain = _plain(fit)
-    spaces = [(ResidualSpace.of(fit.adjustment), 0.0)]
+    plain = _non_robust_fit(fit)
+    spaces = [(ResidualSpace.from_adjustment(fit.adjustment), 0.0)]
     if plain is not None:
-        spaces.append((ResidualSpace.of(plain[0]), plain[1]))
+        spaces.append((ResidualSpace.from_adjustment(plain[0]), plain[1]))
     for space, behind in spaces:
-        gains = np.maximum(gains, _exact(space, every) + behind)
+        gains = np.maximum(gains, _exact_log_evidence(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
-    if fit.outliers.any():
-        local, guesses = _local(fit, every)
+    if fit.is_outlier.any():
+        local, guesses = _local_shift_log_evidence(fit, every)
         gains = np.maximum(gains, local)
         for i, gain, guess in _moved_targets(fit, every):
             if gain > gains[i]:
                 gains[i], guesses[i] = gain, guess
     ranked = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
-    offers = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _best_per_place(ranked, every)]
+    offers = [(gain, every[i].make_hypothesis(guesses[i])) for gain, i in _best_per_place(ranked, every)]
     for space, behind in spaces:
-        offers += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
-        offers += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
-    if fit.outliers.any():
-        offers += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
-        offers += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
-    offers += _noises(fit)
-    if fit.outliers.sum() > MANY:
-        offers += _distances_aside(fit, every)
+        offers += [(gain + behind, h) for gain, h in _reference_hypotheses(fit, space.adjustment)]
+        offers += [(gain + behind, h) for gain, h in _length_scale_hypothesis(fit, space)]
+    if fit.is_outlier.any():
+        offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
+        offers += [
+            (_outlier_log_evidence(fit, _rows_with_targets(fit, h)) + h.log_prior, h)
+            for h in reference_omissions(fit)
+            if h.targets
+        ]
+    offers += _noise_hypotheses(fit)
+    if fit.is_outlier.sum() > MIN_OUTLIERS_FOR_TRIAL:
+        offers += _distance_trial_hypotheses(fit, every)
     offers.sort(key=lambda offer: -offer[0])
     return offers
 
 
-def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
+def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
     """Least-squares fit of all readings, and its deficit of log evidence; None if it equals the robust fit."""
-    if not fit.outliers.any():
+    if not fit.is_outlier.any():
         return None
-    solution = solve(fit.whole, fit.state)
-    if solution.factor is None or not solution.converged:
+    solution = solve(fit.problem_with_all_readings, fit.state)
+    if solution.factor is None or not solution.has_converged:
         return None
-    behind = -0.5 * (solution.cost - fit.solution.cost) - fit.outlier_terms
-    return replace(fit.adjustment, problem=fit.whole, solution=solution), min(behind, 0.0)
+    behind = -0.5 * (solution.sum_of_squares - fit.solution.sum_of_squares) - fit.outlier_log_evidence
+    return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(behind, 0.0)
 
 
-def _best_per_place(ranked: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
+def _best_per_place(
+    ranked: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
+) -> list[tuple[float, int]]:
     """Best time of each kind of hypothesis at each place."""
     places, best = set[tuple[str, str, str]](), []
     for gain, i in ranked:
-        candidate = every[i]
-        key = candidate.family.kind, candidate.family.acts_on, candidate.name
+        candidate = candidates[i]
+        key = candidate.family.kind, candidate.family.acts_on, candidate.place_name
         if key not in places:
             places.add(key)
             best.append((gain, i))
     return best
 
 
-def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
+def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Log evidence (h,) of candidates in a residual space."""
-    gains = np.full(len(every), -np.inf)
-    chosen = np.arange(len(every))
-    sizes = np.array([space.size * c.family.design.shape[2] for c in every], dtype=np.int64)
-    if sizes.sum() > EXACT:
-        chosen = np.argsort(-_rough(space, every))
-        chosen = chosen[np.cumsum(sizes[chosen]) <= EXACT]
+    gains = np.full(len(candidates), -np.inf)
+    chosen = np.arange(len(candidates))
+    sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
+    if sizes.sum() > MAX_EXACTLY_PROJECTED_ENTRIES:
+        chosen = np.argsort(-_approximate_log_evidence(space, candidates))
+        chosen = chosen[np.cumsum(sizes[chosen]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in chosen.tolist():
-        by_rank.setdefault(every[i].family.design.shape[2], []).append(i)
+        by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        step = max(1, AT_ONCE // (space.size * rank))
+        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
         for batch in (group[k : k + step] for k in range(0, len(group), step)):
-            rows = np.hstack([_signature(space, every[i]) for i in batch])
-            projected = space.project(rows).reshape(space.size, len(batch), rank)
+            rows = np.hstack([_projected_signature(space, candidates[i]) for i in batch])
+            projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
-            score = np.einsum("mhi,m->hi", unit, space.residual)
+            score = np.einsum("mhi,m->hi", unit, space.residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > UNCHECKED
+            visible = strength > MIN_NUMERICAL_REDUNDANCY
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
-            value = np.array([_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
-            gains[batch] = value + [every[i].log_prior for i in batch]
+            value = np.array([_log_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
+            gains[batch] = value + [candidates[i].log_prior for i in batch]
     return gains
 
 
-def _evidence(drop: float, rank: int) -> float:
-    return 0.5 * drop + float(occam(np.sqrt(drop), rank)) if rank else -np.inf
+def _log_evidence(chi2_drop: float, rank: int) -> float:
+    return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
-def _signature(space: ResidualSpace, candidate: Candidate) -> Floats:
+def _projected_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     design = np.zeros_like(candidate.family.design)
-    design[candidate.rows] = candidate.family.design[candidate.rows]
+    design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return space.whiten(design)
 
 
-def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
+def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Log evidence (h,) of candidates by their own rows alone, with the redundancy of each."""
-    use, count = space.use, int(space.use.sum())
+    use, count = space.used_readings, int(space.used_readings.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
-    residual[use], share[use] = space.residual[:count], np.maximum(space.redundancy[:count], 1e-3)
-    gains = np.empty(len(every))
-    weighted = {id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in every}
-    for i, c in enumerate(every):
-        g, r, q = weighted[id(c.family)][c.rows], residual[c.rows], share[c.rows]
+    residual[use], share[use] = space.residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
+    gains = np.empty(len(candidates))
+    weighted = {
+        id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in candidates
+    }
+    for i, c in enumerate(candidates):
+        g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
         gram = np.einsum("nki,nk,nkj->ij", g, q, g)
         score = np.einsum("nki,nk->i", g, r)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         strength, turn = np.linalg.eigh(gram / np.outer(scale, scale))
         visible = strength > 1e-3
         along = turn[:, visible].T @ (score / scale)
-        gains[i] = _evidence(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
+        gains[i] = _log_evidence(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
     return gains
 
 
-def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
+def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
     """Log evidence (h,) gained by shifts whose readings are no longer outliers, with the network unchanged.
 
     Also returned is a guess of each shift. If a change begins during the measurement, the network may have followed the
     later readings; its negative is then visible before.
     """
-    gains = np.full(len(every), -np.inf)
-    guesses = [np.zeros(c.family.design.shape[2]) for c in every]
-    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    gains = np.full(len(candidates), -np.inf)
+    guesses = [np.zeros(c.family.design.shape[2]) for c in candidates]
+    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+        log_occam_factor_of_shift(10.0, 1)
+    )
     weighted = {
-        id(c.family): np.where(fit.whole.use[:, :, None], c.family.design / fit.problem.sigma[:, :, None], 0.0)
-        for c in every
+        id(c.family): np.where(
+            fit.problem_with_all_readings.used_readings[:, :, None],
+            c.family.design / fit.problem.sigma[:, :, None],
+            0.0,
+        )
+        for c in candidates
     }
-    gross = np.asarray(fit.outliers.any(axis=1))
+    gross = np.asarray(fit.is_outlier.any(axis=1))
     trials = list[tuple[int, float, LocalShift]]()
-    for i, c in enumerate(every):
-        for sign, rows in ((1.0, c.rows), (-1.0, c.before)):
+    for i, c in enumerate(candidates):
+        for sign, rows in ((1.0, c.affected_rows), (-1.0, c.earlier_rows)):
             out = int(gross[rows].sum())
             if 4 * out < len(rows) or 3 * out < c.family.design.shape[2] or not out:
                 continue
-            shift = LocalShift.of(weighted[id(c.family)][rows], fit.whitened[rows], fit.outliers[rows])
-            trials += [(i, sign, shift)] if shift.is_fitted else []
-    fits = fitted_shifts([shift for *_, shift in trials], price)
+            shift = LocalShift.from_design(
+                weighted[id(c.family)][rows], fit.whitened_residuals[rows], fit.is_outlier[rows]
+            )
+            trials += [(i, sign, shift)] if shift.has_outliers_and_parameters else []
+    fits = fit_local_shifts([shift for *_, shift in trials], price)
     for (i, sign, _), (saved, guess) in zip(trials, fits, strict=True):
-        gain = saved + float(occam(10.0, len(guess))) + every[i].log_prior
+        gain = saved + float(log_occam_factor_of_shift(10.0, len(guess))) + candidates[i].log_prior
         if gain > gains[i]:
             gains[i], guesses[i] = gain, sign * guess
     return gains, guesses
 
 
-def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, float, Floats]]:
+def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Iterator[tuple[int, float, Floats]]:
     """Moved targets from their positions before and after a time: index, log evidence, and displacement (3,) [m].
 
     The network places a target that moved far between both positions, so that no reading to it fits.
     """
-    gross, sightings = np.asarray(fit.outliers.any(axis=1)), fit.adjustment.sightings
-    moved = [i for i, c in enumerate(every) if c.family.kind == "target-moved"]
-    share = {every[i].name: float(gross[np.append(every[i].rows, every[i].before)].mean()) for i in moved}
-    suspects = sorted((name for name in share if share[name] > HALF), key=lambda name: -share[name])[:PLACES]
-    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
+    moved = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
+    share = {
+        candidates[i].place_name: float(
+            gross[np.append(candidates[i].affected_rows, candidates[i].earlier_rows)].mean()
+        )
+        for i in moved
+    }
+    suspects = sorted(
+        (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
+    )[:MAX_TRIAL_PLACES]
+    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+        log_occam_factor_of_shift(10.0, 1)
+    )
     sigma = fit.problem.sigma
-    for i in (i for i in moved if every[i].name in suspects):
-        parts = every[i].before, every[i].rows
-        points = [point for rows in parts if (point := _place(fit, rows)) is not None]
+    for i in (i for i in moved if candidates[i].place_name in suspects):
+        parts = candidates[i].earlier_rows, candidates[i].affected_rows
+        points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
         if len(points) < len(parts):
             continue
         displacement = np.zeros((len(sightings), 3))
         for rows, point in zip(parts, points, strict=True):
-            displacement[rows] = point - fit.state.points[sightings.target[rows]]
+            displacement[rows] = point - fit.state.target_points[sightings.target[rows]]
         both = np.concatenate(parts)
         rest = (fit.residuals - exact_target_change(sightings, displacement))[both] / sigma[both]
-        used = fit.whole.use[both]
+        used = fit.problem_with_all_readings.used_readings[both]
         saved = sum(
             sign * float(np.minimum(0.5 * w[used] ** 2, price).sum())
-            for sign, w in ((1.0, fit.whitened[both]), (-1.0, rest))
+            for sign, w in ((1.0, fit.whitened_residuals[both]), (-1.0, rest))
         )
-        yield i, saved + float(occam(10.0, 3)) + every[i].log_prior, points[1] - points[0]
+        yield i, saved + float(log_occam_factor_of_shift(10.0, 3)) + candidates[i].log_prior, points[1] - points[0]
 
 
-def _place(fit: Fit, rows: Ints) -> Floats | None:
+def _target_position(fit: NetworkFit, rows: Ints) -> Floats | None:
     """Position (3,) [m] of a target from some pointings to it, with the stations unchanged.
 
     It is None if it is not unique.
     """
-    rows = rows[fit.whole.use[rows].any(axis=1)]
-    sight, station = Sight.of(fit.recording).at(rows), fit.recording.station[rows]
-    usable = replace(sight, readings=np.where(fit.whole.use[rows], sight.readings, np.nan))
-    return fit_point(usable, fit.state.position[station], fit.state.rotation[station])
+    rows = rows[fit.problem_with_all_readings.used_readings[rows].any(axis=1)]
+    sight, station = FitReadings.from_recording(fit.recording).select_rows(rows), fit.recording.station[rows]
+    usable = replace(
+        sight, readings=np.where(fit.problem_with_all_readings.used_readings[rows], sight.readings, np.nan)
+    )
+    return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
 
-def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:
+def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[tuple[float, Hypothesis]]:
     """Offsets and scale errors of distances at the places with most outliers, from a network without these distances.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. If gross
     pointings are as frequent in the whole recording, no place is tried.
     """
-    gross = np.asarray((fit.outliers & fit.is_gross).any(axis=1))
-    if gross.mean() > HALF:
+    gross = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1))
+    if gross.mean() > MIN_GROSS_FRACTION_FOR_TRIAL:
         return []
-    tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
-    share = {id(c): float(gross[c.rows].mean()) for c in tried}
-    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
-    offers, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
+    tried = [c for c in candidates if c.family.acts_on == "distance" and np.isneginf(c.onset_time)]
+    share = {id(c): float(gross[c.affected_rows].mean()) for c in tried}
+    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+        log_occam_factor_of_shift(10.0, 1)
+    )
+    offers, fits = list[tuple[float, Hypothesis]](), dict[str, NetworkFit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
-        if c.name not in fits:
-            if len(fits) == PLACES or not share[id(c)] > HALF:
+        if c.place_name not in fits:
+            if len(fits) == MAX_TRIAL_PLACES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
                 continue
-            fits[c.name] = fit.without_distances(c.rows)
-        aside = fits[c.name]
+            fits[c.place_name] = fit.without_distances(c.affected_rows)
+        aside = fits[c.place_name]
         if aside is None:
             continue
-        use = c.rows[fit.whole.use[c.rows, 0]]
+        use = c.affected_rows[fit.problem_with_all_readings.used_readings[c.affected_rows, 0]]
         g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
         r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
         acts = g != 0.0
@@ -253,64 +295,68 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
             continue
         guess = float(np.median(r[acts] / g[acts]))
         rest = float(np.minimum(0.5 * (r - g * guess) ** 2, price).sum())
-        gain = aside.log_evidence - rest - fit.log_evidence + float(occam(10.0, 1)) + c.log_prior
-        offers.append((gain, c.hypothesis(np.array([guess]))))
+        gain = aside.log_evidence - rest - fit.log_evidence + float(log_occam_factor_of_shift(10.0, 1)) + c.log_prior
+        offers.append((gain, c.make_hypothesis(np.array([guess]))))
     return offers
 
 
-def _paid(fit: Fit, rows: Ints) -> float:
+def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
     """Log evidence that the outliers among some rows cost."""
-    out = fit.outliers[rows]
-    w = np.abs(fit.whitened[rows][out])
-    return -float(np.sum(occam(w, 1))) - len(w) * log_prior_of("outlier", int(fit.whole.use.sum()))
+    out = fit.is_outlier[rows]
+    w = np.abs(fit.whitened_residuals[rows][out])
+    return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
+        "outlier", int(fit.problem_with_all_readings.used_readings.sum())
+    )
 
 
-def _rows_of(fit: Fit, hypothesis: Hypothesis) -> Ints:
+def _rows_with_targets(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
     """Rows with pointings to the targets of a hypothesis."""
     at = [fit.recording.targets.index(name) for name in hypothesis.targets]
     return np.flatnonzero(np.isin(fit.recording.target, at))
 
 
-def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
-    problem = relaxed_references(adjustment.problem, adjustment.state)
+def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
+    problem = relax_exact_references(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
     tests: dict[tuple[str, str], ReferenceTest] = {}
     if solution.factor is not None:
         tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
-    for h in omissions(fit):
+    for h in reference_omissions(fit):
         test = tests.get((h.acts_on, h.name))
         if test is not None and test.rank:
-            offers.append((_evidence(test.chi2_drop, test.rank) + h.log_prior, h))
+            offers.append((_log_evidence(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
 
 
-def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
     """Hypothesis of a common scale error of all reference lengths (or of the distances), with its gain."""
     scale = GaugeScale()
-    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
+    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
-    drop, rank = space.chi2_drop(space.signature(scale))
+    drop, rank = space.chi2_drop(space.whitened_signature(scale))
     prior = log_prior_of("reference-scale", 1)
-    common = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
-    return [(_evidence(drop, rank) + prior, common)] if rank else []
+    common = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
+    return [(_log_evidence(drop, rank) + prior, common)] if rank else []
 
 
-def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
+def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     """Hypotheses of changed noise, with their gains; outliers by the declared noise may be none by another."""
-    return [_noise(fit, h, readings) for h, readings in noises(fit)]
+    return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
-def _noise(fit: Fit, hypothesis: Hypothesis, readings: Bools) -> tuple[float, Hypothesis]:
+def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask: Bools) -> tuple[float, Hypothesis]:
     """Hypothesis of changed noise with its gain and a guess, for the best number of remaining outliers."""
-    within, out = readings & fit.problem.use, readings & fit.outliers
-    sizes = np.sort(np.abs(fit.whitened[out]))  # as many of the smaller ones as is best are outliers no more
-    squares = np.sum(fit.whitened[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
+    within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
+    sizes = np.sort(np.abs(fit.whitened_residuals[out]))  # as many of the smaller ones as is best are outliers no more
+    squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(sizes) + 1)
-    factor, gain = variance_factor(squares, redundancy)
-    # `variance_factor` compares with all of them within the declared noise; but outliers have paid another price
-    price = -occam(sizes, 1) - log_prior_of("outlier", int(fit.whole.use.sum()))
-    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + occam_of_variance(redundancy)
+    factor, gain = estimate_variance_factor(squares, redundancy)
+    # `estimate_variance_factor` compares with all within the declared noise; but outliers have paid another price
+    price = -log_occam_factor_of_shift(sizes, 1) - log_prior_of(
+        "outlier", int(fit.problem_with_all_readings.used_readings.sum())
+    )
+    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + log_occam_factor_of_variance(redundancy)
     best = int(np.argmax(gain))
-    change = NoiseFactor(readings, float(factor[best]))
-    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, change=change)
+    change = NoiseFactor(reading_mask, float(factor[best]))
+    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -10,14 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.adjustment.identification.fit import Fit, Network
-from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
-from ltsim.adjustment.identification.screen import looks
+from ltsim.adjustment.identification.fit import FitInput, NetworkFit
+from ltsim.adjustment.identification.hypothesis import (
+    CoordinateExchange,
+    Hypothesis,
+    NoiseFactor,
+    ReadingShiftChange,
+    ReferenceOmission,
+)
+from ltsim.adjustment.identification.library import convention_corrections, coordinate_exchanges, omissions_of_values
+from ltsim.adjustment.identification.screen import screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.significance import FAMILY_LEVEL, NOT_EXCLUDED
-from ltsim.adjustment.snooping import LARGEST_ERROR
-from ltsim.adjustment.station_motions import Motion, SuddenMotion
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
+from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import ADJUSTED_POINTINGS
@@ -26,71 +32,72 @@ from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
-LEAST_GAIN = 3.0
+MIN_LOG_EVIDENCE_GAIN = 3.0
 """Smallest gain of log evidence of a selected hypothesis: odds of 20 to 1, strong on the scale of Kass and Raftery
 (1995).
 """
-AMONG_MISFIT = 30.0
+MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT = 30.0
 """Smallest gain of log evidence of a hypothesis if all readings scatter more than declared.
 
 A misfit of the model varies smoothly, so that neighbouring readings repeat the same information: about a tenth of the
 gain is real.
 """
-LARGEST_GAIN = 1e30
+MAX_LOG_EVIDENCE_GAIN = 1e30
 """Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
-MOST = 8
+MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
-BEYOND_DOUBT = 7.0
+MIN_LOG_EVIDENCE_CERTAIN = 7.0
 """Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
-SHARED = ("constant-offset", "scale-error", "orientation", "reflector-radius")
+SHARED_CAUSE_KINDS = ("constant-offset", "scale-error", "orientation", "reflector-radius")
 """Kinds of causes that all readings of one observable, or of one set-up, share."""
-WRONG_PLACE = 0.1
+MAX_REFERENCE_MISCLOSURE = 0.1
 """Misclosure of a reference value [m] above which a network that uses it may not converge."""
-TRIED = 4
+N_FITTED_HYPOTHESES = 4
 """Number of hypotheses that are fitted in a step, in the order of their approximate gains."""
-LARGE = 1500
+MIN_POINTINGS_LARGE_NETWORK = 1500
 """Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
 time).
 """
-COMPUTED = 1e-6
+MAX_CHI2_RATIO_COMPUTED = 1e-6
 """Ratio of chi-square to degrees of freedom below which readings count as computed: a thousandth of
 the declared noise.
 """
-FEW = 0.01
+MAX_OUTLIER_FRACTION_CONSISTENT = 0.01
 """Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
 `FAMILY_LEVEL`.
 """
-FAR_AMONG = 3
+MIN_REFERENCE_MAJORITY = 3
 """Ratio of all reference values to those far off from which the latter are omitted at the beginning: a majority."""
-AFTER_ALL = 0.5
+MIN_GAIN_FRACTION_FROM_STATE = 0.5
 """Fraction of its approximate gain that a hypothesis must reach from the present state; otherwise it is fitted from the
 start.
 """
-BENDS = 50.0
+MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
 """Log evidence of a shift of ten standard deviations; a smaller shift hardly changes the converged state."""
-FULFILLED = 0.8
+MIN_GAIN_FRACTION_TRUSTED = 0.8
 """Fraction of the approximate gain reached by the first hypothesis from which the approximate gains of the others are
 trusted.
 """
 
 
 @dataclass(frozen=True)
-class Choice:
+class SelectedHypothesis:
     """Selected hypothesis, its gain of log evidence given the others, and the alternatives fitted in its place."""
 
     hypothesis: Hypothesis
-    gain: float
+    log_evidence_gain: float
     alternatives: tuple[tuple[Hypothesis, float], ...]
 
     @property
     def probabilities(self) -> Floats:
         """Posterior probabilities (2 + k,) of the hypothesis, of its k alternatives, and of none of them."""
-        gains = np.minimum([self.gain, *(gain for _, gain in self.alternatives), 0.0], LARGEST_GAIN)
+        every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
+        gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
         return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
 
 
 @dataclass(frozen=True)
-class Selection:
+class CauseSelection:
     """Network with the simple causes that the readings support.
 
     Attributes
@@ -100,68 +107,71 @@ class Selection:
         Shifts first, then noise; of each the surest first.
     """
 
-    fit: Fit
-    choices: tuple[Choice, ...]
+    fit: NetworkFit
+    selected_hypotheses: tuple[SelectedHypothesis, ...]
 
     @property
-    def leads(self) -> bool:
+    def requires_initial_causes(self) -> bool:
         """True if the network must be adjusted with the selected hypotheses from the start to be consistent.
 
         An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
         tests. Single motions and reference values have separate tests.
         """
-        sure = [c.hypothesis for c in self.choices if c.gain > BEYOND_DOUBT]
-        shared = [h for h in sure if h.kind in SHARED]
+        sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
+        shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
         values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
-        far = [h for h in values if self.fit.displacement(h) > WRONG_PLACE]
-        exchanged = any(isinstance(h.change, Exchange) for h in sure)
-        gross = exchanged or any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
-        noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
+        far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
+        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
+        gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
+        noisy = any(isinstance(c.hypothesis.model_change, NoiseFactor) for c in self.selected_hypotheses)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
 
     @property
-    def motions(self) -> tuple[Motion, ...]:
+    def certain_motions(self) -> tuple[FittedMotion, ...]:
         """Motions beyond doubt, the surest of each station, for an adjustment without the other hypotheses."""
-        sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
-        motions: dict[tuple[str, ...], Motion] = {}
-        for effect in (change.effect for change in sure if isinstance(change, Shift)):
+        certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
+        sure = [c.hypothesis.model_change for c in certain]
+        motions: dict[tuple[str, ...], FittedMotion] = {}
+        for effect in (change.effect for change in sure if isinstance(change, ReadingShiftChange)):
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
-            if isinstance(motion, Motion):
+            if isinstance(motion, FittedMotion):
                 motions.setdefault(motion.stations, motion)
         return tuple(motions.values())
 
     @property
-    def explains(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if the network is consistent with the selected hypotheses and none of them is doubtful.
 
         Excluded are set-ups in another unit or sense (their rows are read again), noise smaller than declared (its
         outliers may be none), and larger noise with remaining outliers. Reference values and tripods over marks have
         more specific tests.
         """
-        changes = [c.hypothesis.change for c in self.choices]
-        quieter = any(isinstance(change, NoiseFactor) and change.guess < 1.0 for change in changes)
-        others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
-        doubtful = quieter or others or (_misfit(self.fit) and bool(self.fit.outliers.any()))
-        sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
+        changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
+        quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
+        omitted = any(isinstance(change, ReferenceOmission) for change in changes)
+        others = omitted or any(self.fit.problem.marks.mark_names)
+        doubtful = quieter or others or (_has_general_misfit(self.fit) and bool(self.fit.is_outlier.any()))
+        causes = self.selected_hypotheses
+        sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
         return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
 
 
-LARGE_MOTION = 1000.0
+MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a station's motion, in its standard deviations, at which other moments are fitted: a smaller one
 does not distort the network.
 """
-Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
+FitKey = tuple[NetworkFit, list[tuple[Hypothesis, NetworkFit]]]
 """Fit, and the hypotheses that were fitted in addition to its own."""
 
 
 @single_threaded
-def select(network: Network, least: float = LEAST_GAIN) -> Selection:
+def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) -> CauseSelection:
     """Selection of the simple causes of a recording.
 
     Parameters
     ----------
     network : Network
-    least : float
+    min_gain : float
         Smallest gain of log evidence.
 
     Raises
@@ -169,30 +179,34 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     NetworkError
         If the readings determine no network with any hypothesis.
     """
-    fit = beginning = _beginning(network)
-    last: Looked | None = None
+    fit = beginning = _initial_fit(network)
+    last: FitKey | None = None
     required: list[Hypothesis] = []
-    while len(fit.hypotheses) < MOST and not _agrees(fit):
-        tried = _fitted(fit)
-        needed = least if not _misfit(fit) else AMONG_MISFIT
+    while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
+        tried = _fit_best_hypotheses(fit)
+        needed = min_gain if not _has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
-        best = _at_best_moment(tried[0][1])
-        chosen = _without_needless(best, least, len(beginning.hypotheses), required)
+        best = _refine_motion_time(tried[0][1])
+        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), required)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _judged_again(fit, least, beginning, last, required)
+    return _compare_again(fit, min_gain, beginning, last, required)
 
 
-def _at_best_moment(fit: Fit) -> Fit:
+def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
     """Fit with the best moment of a station's motion that was accepted last, if any.
 
     The score of a moment is linear. A large motion distorts the network in which it is computed, so that the moment
     with the best score may be several pointings off; the readings between would then look like further causes.
     """
     *others, last = fit.hypotheses
-    change = last.change
-    if not isinstance(change, Shift) or not isinstance(change.effect, StationBump) or fit.length(last) < LARGE_MOTION:
+    change = last.model_change
+    if (
+        not isinstance(change, ReadingShiftChange)
+        or not isinstance(change.effect, StationBump)
+        or fit.length_in_sigmas(last) < MIN_MOTION_SIGMAS_FOR_REFINEMENT
+    ):
         return fit
     first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
     bumps = [bump for bump in bumps if bump.stations == first.stations]
@@ -201,9 +215,10 @@ def _at_best_moment(fit: Fit) -> Fit:
         for at in (now - step, now + step):
             if not 0 <= at < len(bumps):
                 continue
-            moved = replace(last, change=replace(change, effect=bumps[at]))
+            moved = replace(last, model_change=replace(change, effect=bumps[at]))
             try:
-                made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra=np.zeros(0)))
+                state = replace(fit.state, extra_parameters=np.zeros(0))
+                made = NetworkFit.from_start(fit.network, (*others, moved), state)
             except LtsimError:
                 continue
             if made is not None and made.log_evidence > fit.log_evidence:
@@ -214,102 +229,112 @@ def _at_best_moment(fit: Fit) -> Fit:
     return fit
 
 
-def _misfit(fit: Fit) -> bool:
+def _has_general_misfit(fit: NetworkFit) -> bool:
     """True if all readings scatter more than declared, so that residuals may come from a misfit of the model."""
-    general = (h.change for h in fit.hypotheses if not h.stations and not h.targets)
-    return any(isinstance(change, NoiseFactor) and change.guess > 1.0 for change in general)
+    general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
+    return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
 
 
-def _agrees(fit: Fit) -> bool:
+def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
     """True if a large network, or one of computed readings, is consistent as a whole, so that no place is searched.
 
-    In a network of `LARGE` pointings an error at one place has little influence on the others.
+    In a network of `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one place has little influence on the others.
     """
-    if fit.solution.cost < COMPUTED * fit.problem.dof:
+    if fit.solution.sum_of_squares < MAX_CHI2_RATIO_COMPUTED * fit.problem.dof:
         return True
-    if len(fit.recording) < LARGE:
+    if len(fit.recording) < MIN_POINTINGS_LARGE_NETWORK:
         return False
     return (
-        fit.adjustment.p_value > FAMILY_LEVEL and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+        fit.adjustment.p_value > FAMILY_LEVEL
+        and not fit.hypotheses
+        and fit.is_outlier.sum() < MAX_OUTLIER_FRACTION_CONSISTENT * fit.problem_with_all_readings.used_readings.sum()
     )
 
 
-def identified(
+def identify_causes(
     recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
-) -> Selection | None:
+) -> CauseSelection | None:
     """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
 
     NetworkError where it holds too many pointings.
     """
     recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     try:
-        return select(Network(recording, construction or declared_construction(recording), prior))
+        return select_causes(FitInput(recording, construction or declared_construction(recording), prior))
     except LtsimError:
         return None
 
 
-def _beginning(network: Network) -> Fit:
+def _initial_fit(network: FitInput) -> NetworkFit:
     """Initial fit with corrected units and senses of set-ups, and without reference values that are far off.
 
     These would distort the network too much for any other test.
     """
-    corrections = conventions(network.recording)
-    far, count = Fit.far_references(network, corrections)
-    if any(value.kind == "point" for value in far) and (names := exchanges(network.recording)):
+    corrections = convention_corrections(network.recording)
+    far, count = NetworkFit.far_references(network, corrections)
+    if any(value.kind == "point" for value in far) and (names := coordinate_exchanges(network.recording)):
         corrections = [*corrections, *names]
-        far, count = Fit.far_references(network, corrections)
-    omitted = omissions_of(network.recording, far) if FAR_AMONG * len(far) <= max(count, FAR_AMONG) else []
-    fit = Fit.of(network, (*corrections, *omitted))
+        far, count = NetworkFit.far_references(network, corrections)
+    omitted = (
+        omissions_of_values(network.recording, far)
+        if MIN_REFERENCE_MAJORITY * len(far) <= max(count, MIN_REFERENCE_MAJORITY)
+        else []
+    )
+    fit = NetworkFit.from_start(network, (*corrections, *omitted))
     if fit is None and (corrections or omitted):
-        fit = Fit.of(network)
+        fit = NetworkFit.from_start(network)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")
     return fit
 
 
-def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = None) -> list[tuple[Hypothesis, Fit]]:
-    """Fitted hypotheses with the largest approximate gains (at least `at_least`), the best first.
+def _fit_best_hypotheses(
+    fit: NetworkFit, min_count: float = 0.0, replaced_hypothesis: Hypothesis | None = None
+) -> list[tuple[Hypothesis, NetworkFit]]:
+    """Fitted hypotheses with the largest approximate gains (at least `min_count`), the best first.
 
     If the first reaches its approximate gain, only hypotheses that may explain the same readings are fitted too,
     because the order of causes at different places has no influence.
     """
     first, attempts = 0.0, 0
-    tried: list[tuple[Hypothesis, Fit]] = []
-    places = {h.place for h in fit.hypotheses if isinstance(h.change, NoiseFactor)}
-    places |= {instead_of.place} if instead_of is not None else set()
-    for promised, hypothesis in looks(fit):
+    tried: list[tuple[Hypothesis, NetworkFit]] = []
+    places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
+    places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
+    for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(at_least, 0.0) or attempts >= TRIED or best > promised:
+        if promised <= max(min_count, 0.0) or attempts >= N_FITTED_HYPOTHESES or best > promised:
             break
-        if hypothesis.place in places or any(hypothesis.place == h.place for h, _ in tried):
+        if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue
-        if tried and best > FULFILLED * first and not hypothesis.competes(tried[0][0]):
+        if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
             continue
         first, attempts = promised if not attempts else first, attempts + 1
-        made = refitted(fit, hypothesis, promised)
+        made = refit_with(fit, hypothesis, promised)
         if made is not None:
             tried.append((hypothesis, made))
     return sorted(tried, key=lambda pair: -pair[1].log_evidence)
 
 
-def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
+def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
-    best: Fit | None = None
+    best: NetworkFit | None = None
     near = fit.adjustment.sightings
-    for start in (replace(fit.state, extra=np.zeros(0)), None):
+    for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
         try:
-            made = Fit.of(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
+            made = NetworkFit.from_start(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
         except LtsimError:
             made = None
         if made is not None and (best is None or made.log_evidence > best.log_evidence):
             best = made
-        disappoints = best is None or best.log_evidence - fit.log_evidence < AFTER_ALL * promised
-        if not disappoints or promised < BENDS:
+        disappoints = (
+            best is None or best.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
+        )
+        if not disappoints or approximate_gain < MIN_LOG_EVIDENCE_FOR_RESTART:
             break
     return best
 
 
-def _without_needless(fit: Fit, least: float, first: int, required: list[Hypothesis]) -> Fit:
+def _drop_unneeded(fit: NetworkFit, min_gain: float, first: int, required: list[Hypothesis]) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
     Of the `first` hypotheses, with which the fit started, only omitted reference values may be removed, because without
@@ -317,21 +342,21 @@ def _without_needless(fit: Fit, least: float, first: int, required: list[Hypothe
     it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        if (i < first and not isinstance(h.change, Omission)) or not h.competes(fit.hypotheses[-1]):
+        if (i < first and not isinstance(h.model_change, ReferenceOmission)) or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _less(fit, h, required)
-        if rest is not None and rest.log_evidence > fit.log_evidence - least:
+        rest = _fit_without(fit, h, required)
+        if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
-def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit | None:
+def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, required: list[Hypothesis]) -> NetworkFit | None:
     """Fit without one of its hypotheses; None, and an entry in `required`, if there is no network without it."""
     if any(h is hypothesis for h in required):
         return None
     others = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        rest = Fit.of(fit.network, others, replace(fit.state, extra=np.zeros(0)))
+        rest = NetworkFit.from_start(fit.network, others, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         rest = None
     if rest is None:
@@ -339,25 +364,36 @@ def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit |
     return rest
 
 
-def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, required: list[Hypothesis]) -> Selection:
+def _compare_again(
+    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, required: list[Hypothesis]
+) -> CauseSelection:
     """Selection in which every chosen hypothesis is compared again with its alternatives, given the others.
 
-    Without those of the `beginning` there is no network. `last` are the hypotheses that were fitted in place of the
-    last one.
+    Without those of the `initial_fit` there is no network. `last_fit` are the hypotheses that were fitted in place of
+    the last one.
     """
-    choices = [Choice(h, np.inf, ()) for h in fit.hypotheses if h in beginning.hypotheses]
+    choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
-        is_last = last is not None and h is fit.hypotheses[-1] and last[0].hypotheses == fit.hypotheses[:-1]
-        rest = last[0] if last is not None and is_last else _less(fit, h, required)
+        is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
+        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, required)
         if rest is None:
-            choices.append(Choice(h, np.inf, ()))
+            choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
         gain = fit.log_evidence - rest.log_evidence
-        tried = last[1] if last is not None and is_last else _fitted(rest, gain + float(np.log(NOT_EXCLUDED)), h)
-        others = [(other, made) for other, made in tried if other.place != h.place]
-        if others and others[0][1].log_evidence > fit.log_evidence + least:
-            return _judged_again(others[0][1], least, beginning, None, required)
+        tried = (
+            last_fit[1]
+            if last_fit is not None and is_last
+            else _fit_best_hypotheses(rest, gain + float(np.log(MIN_REPORTED_PROBABILITY)), h)
+        )
+        others = [(other, made) for other, made in tried if other.place_key != h.place_key]
+        if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
+            return _compare_again(others[0][1], min_gain, initial_fit, None, required)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
-        choices.append(Choice(h, gain, gains))
+        choices.append(SelectedHypothesis(h, gain, gains))
     # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.
-    return Selection(fit, tuple(sorted(choices, key=lambda c: (isinstance(c.hypothesis.change, NoiseFactor), -c.gain))))
+    return CauseSelection(
+        fit,
+        tuple(
+            sorted(choices, key=lambda c: (isinstance(c.hypothesis.model_change, NoiseFactor), -c.log_evidence_gain))
+        ),
+    )

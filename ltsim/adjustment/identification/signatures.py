@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
 from ltsim.geometry.rigid import pose_design
-from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, on_readings
+from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 
@@ -31,42 +31,42 @@ class ReadingShift(Signature):
     """
 
     observable: str
-    proportional: bool = False
+    is_proportional: bool = False
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
-    since: float = -np.inf
+    onset_time: float = -np.inf
     coarse: float = 1.0
 
     @property
     def name(self) -> str:
         """`scale-error` or `constant-offset`."""
-        return "scale-error" if self.proportional else "constant-offset"
+        return "scale-error" if self.is_proportional else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Change of a reading, or of its ratio to the range."""
-        if self.proportional:
+        if self.is_proportional:
             return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
         if self.observable == "distance":
             return (Parameter("offset", "um", "offset of the readings", 10 * MICROMETRE),)
         return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
 
     @property
-    def spread(self) -> Floats:
+    def size_scales(self) -> Floats:
         """Plausible size (1,) of the parameter [SI]."""
-        return self.coarse * super().spread
+        return self.coarse * super().size_scales
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
-        acts = self.mask(sightings) * (sightings.time >= self.since)
-        size = acts * sightings.range_ if self.proportional else acts
+        acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
-        return on_readings(sightings, **{self.observable: -size[:, None]})
+        return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at a value; distances with a scale error change in proportion to their change."""
         design = self.design(sightings)
-        if not self.proportional:
+        if not self.is_proportional:
             return Linearisation(design @ values, design)
-        scaled = np.where(design != 0.0, values[0] * sightings.by_target, 0.0)
-        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.arm)))
+        scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
+        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))

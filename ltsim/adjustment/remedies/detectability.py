@@ -21,31 +21,31 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
-from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
-from ltsim.adjustment.significance import GLOBAL_LEVEL, UNCHECKED
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
+from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
-P = TypeVar("P")
-CONFUSABLE = 0.9
+ParameterType = TypeVar("ParameterType")
+MIN_CONFUSABLE_FRACTION = 0.9
 """Fraction of a signature that another effect explains from which the two count as confusable."""
 ROUNDING = 1e-9
 """Information on a term of the calibration, relative to that of its prior, that rounding may produce."""
-BATCH = 512
+PROJECTION_BATCH_ROWS = 512
 """Number of rows that are projected together."""
-MOST_PLACES = 150
+MAX_EXAMINED_PLACES = 150
 """Largest number of places and shapes of one effect that are examined."""
 
 
 @cache
-def search_noncentrality(dof: int, places: int) -> float:
-    """Noncentrality at which a search detects an effect of `dof` parameters that is tried at `places` places.
+def search_noncentrality(dof: int, n_places: int) -> float:
+    """Noncentrality at which a search detects an effect of `dof` parameters that is tried at `n_places` places.
 
     The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
     physics counts as one more effect.
     """
-    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=places * (len(CATALOGUE) - len(BASELINE) + 1))
+    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE) + 1))
 
 
 @dataclass(frozen=True)
@@ -55,23 +55,25 @@ class MinimalSize:
     effect: str
     parameter: str
     unit: str
-    best: float
-    typical: float
-    worst: float
-    """Sizes at the best, median and worst of its places and shapes [SI]; infinite for an absorbed effect."""
+    best_size: float
+    """Size [SI] at the best of its places and shapes."""
+    median_size: float
+    """Median size [SI] over its places and shapes."""
+    worst_size: float
+    """Size [SI] at the worst of its places and shapes; infinite for an absorbed effect."""
     prior_sigma: float
     """Plausible size of the parameter [SI]."""
-    visible: float
+    visible_fraction: float
     """Median fraction of the signature that remains after the adjustment."""
     worst_place: str
     """Station, target or shape at the worst place."""
 
 
-def thinned(places: Sequence[P]) -> list[P]:
-    """Selection of at most `MOST_PLACES` places, distributed evenly."""
-    if len(places) <= MOST_PLACES:
+def select_places(places: Sequence[ParameterType]) -> list[ParameterType]:
+    """Selection of at most `MAX_EXAMINED_PLACES` places, distributed evenly."""
+    if len(places) <= MAX_EXAMINED_PLACES:
         return list(places)
-    return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MOST_PLACES).round().astype(int))]
+    return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MAX_EXAMINED_PLACES).round().astype(int))]
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,10 @@ class EffectDetectability:
     parameters: tuple[tuple[Parameter, ...], ...]
     """Parameters of the effect at each place: an effect with several laws has several sets."""
     places: tuple[str, ...]
-    sizes: tuple[Floats, ...]
+    minimal_sizes: tuple[Floats, ...]
     """Minimal detectable sizes at each place, (q,) [SI]; infinite for an absorbed effect."""
-    visible: tuple[float, ...]
-    columns: tuple[Floats, ...]
+    visible_fractions: tuple[float, ...]
+    projected_basis: tuple[Floats, ...]
     """Orthonormal columns (m, r) of the projected signature; empty for noise, and if they are not needed."""
 
     def table(self) -> list[MinimalSize]:
@@ -93,9 +95,9 @@ class EffectDetectability:
         rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
-            visible = float(np.median([self.visible[k] for k in at]))
+            visible = float(np.median([self.visible_fractions[k] for k in at]))
             for j, p in enumerate(law):
-                size = np.array([self.sizes[k][j] for k in at])
+                size = np.array([self.minimal_sizes[k][j] for k in at])
                 typical = float(np.quantile(size, 0.5, method="higher"))
                 worst = self.places[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
@@ -103,7 +105,7 @@ class EffectDetectability:
         return rows
 
 
-def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
+def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
     """Information (q, q) on the parameters of each noise effect, half the trace of P D_i P D_j.
 
     P is the projector onto the residual space; D is the derivative of the whitened variances, by central differences
@@ -114,37 +116,37 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
             upper = effect.variance(space.sightings, problem.sigma, step)
-            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.use])
+            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.used_readings])
     stack = np.array(changes)
     count = stack.shape[1]
     spread = np.empty_like(stack)
-    for low in range(0, count, BATCH):
-        units = np.eye(space.size, min(BATCH, count - low), -low)
-        spread[:, low : low + BATCH] = stack @ space.project(units)[:count] ** 2
+    for low in range(0, count, PROJECTION_BATCH_ROWS):
+        units = np.eye(space.n_rows, min(PROJECTION_BATCH_ROWS, count - low), -low)
+        spread[:, low : low + PROJECTION_BATCH_ROWS] = stack @ space.project(units)[:count] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
+def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
     """Detectability of one effect at all places that a search would try; None if the network lacks data that it needs.
 
-    At most `MOST_PLACES` of the places are examined.
+    At most `MAX_EXAMINED_PLACES` of the places are examined.
     """
-    examined = thinned(places)
+    examined = select_places(places)
     noises = [effect for effect in examined if isinstance(effect, NoiseEffect)]
     signatures: list[tuple[Effect, Floats, float, int, Floats]] = []
-    informations = _noise_information(space, noises) if noises else []
+    informations = _noise_effect_information(space, noises) if noises else []
     signatures += [
         (effect, information, 1.0, len(information), np.zeros((0, 0)))
         for effect, information in zip(noises, informations, strict=True)
     ]
     for effect in () if noises else examined:
-        whole = space.signature(effect)
+        whole = space.whitened_signature(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
-            basis = orthonormal(scaled, np.ones(len(norm)))
-            information, share, rank = visible_information(scaled.T @ scaled, norm, UNCHECKED)
+            basis = orthonormal_columns(scaled, np.ones(len(norm)))
+            information, share, rank = visible_information(scaled.T @ scaled, norm, MIN_NUMERICAL_REDUNDANCY)
             signatures.append((effect, information, float(share), int(rank), basis))
     return effect_detectability(signatures, len(places)) if signatures else None
 
@@ -159,16 +161,16 @@ def effect_detectability(
     """
     effects, information, visible, spent, columns = zip(*signatures, strict=True)
     needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
-    sizes = tuple(map(_smallest, information, needed))
-    names, laws = tuple(map(_place, effects)), tuple(effect.parameters for effect in effects)
+    sizes = tuple(map(_minimal_sizes, information, needed))
+    names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
 
 
 def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, Floats, Ints]:
     """Information (..., q, q), visible fraction (...) and rank (...) from Gram matrices of projected unit columns.
 
-    `norm` (..., q) are the lengths of the columns, `visible` is the fraction of a squared length below which it is
-    rounding.
+    `norm` (..., q) are the lengths of the columns, `visible_fraction` is the fraction of a squared length below which
+    it is rounding.
     """
     share = np.einsum("...ii->...i", gram)
     shown = np.where(share < visible, 0.0, norm)
@@ -176,25 +178,25 @@ def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Flo
     return gram * shown[..., :, None] * shown[..., None, :], np.mean(share, axis=-1), rank
 
 
-def _smallest(information: Floats, needed: float) -> Floats:
+def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable size (q,) of each parameter alone; infinite without information."""
     diagonal = np.diag(information)
     size = np.full(len(diagonal), np.inf)
-    size[diagonal > 0] = np.sqrt(needed / diagonal[diagonal > 0])
+    size[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
     return size
 
 
-def _place(effect: Effect) -> str:
+def _place_text(effect: Effect) -> str:
     """Text of the place and shape of an effect."""
     parts = [*effect.stations, *effect.targets]
-    for shape in type(effect).shape:
+    for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
         if isinstance(value, float):
             parts.append(f"{shape.name} {value:.3g}")
     return " ".join(parts)
 
 
-def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
+def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of a term of the ordinary calibration, with the other terms and their priors in the model.
 
     Such a term is estimated and not tested; the size is the one at which its estimate differs significantly from zero.
@@ -203,7 +205,7 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectabil
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < ROUNDING] = 0.0
-    sizes = _smallest(information, noncentrality(len(information)))
+    sizes = _minimal_sizes(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 
 
@@ -212,12 +214,12 @@ def explained_fraction(first: EffectDetectability, second: EffectDetectability) 
 
     The second may have any of its places and shapes, as in a diagnosis.
     """
-    if not any(b.shape[1] for b in second.columns):
+    if not any(b.shape[1] for b in second.projected_basis):
         return 0.0
-    rivals = np.hstack([b for b in second.columns if b.shape[1]])
-    starts = np.cumsum([0, *(b.shape[1] for b in second.columns if b.shape[1])])[:-1]
+    rivals = np.hstack([b for b in second.projected_basis if b.shape[1]])
+    starts = np.cumsum([0, *(b.shape[1] for b in second.projected_basis if b.shape[1])])[:-1]
     shares = []
-    for columns in first.columns:
+    for columns in first.projected_basis:
         if columns.shape[1]:
             overlap = (rivals.T @ columns) ** 2
             shares.append(float(np.add.reduceat(overlap.sum(axis=1), starts).max()) / columns.shape[1])
@@ -225,48 +227,54 @@ def explained_fraction(first: EffectDetectability, second: EffectDetectability) 
 
 
 @dataclass(frozen=True)
-class Detectability:
+class CatalogueDetectability:
     """Detectability of all effects of the catalogue in one layout."""
 
     effects: tuple[EffectDetectability, ...]
-    silent: tuple[str, ...]
+    undetectable_effects: tuple[str, ...]
     """Effects without a projected signature in this layout, or that need data which it does not contain."""
-    names: tuple[str, ...]
+    detectable_effects: tuple[str, ...]
     similarity: Floats
-    """Fraction of the row effect that the column effect explains, (e, e), for effects with a signature (`names`)."""
+    """Fraction of the row effect that the column effect explains, (e, e), for effects with a signature
+    (`detectable_effects`)."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable sizes, one per parameter of every effect."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
-    def confusable(self) -> list[tuple[str, str, float]]:
+    def confusable_pairs(self) -> list[tuple[str, str, float]]:
         """Pairs of effects (effect, confusable effect, explained fraction), the most similar first."""
-        first, second = np.nonzero((self.similarity > CONFUSABLE) & ~np.eye(len(self.names), dtype=bool))
+        first, second = np.nonzero(
+            (self.similarity > MIN_CONFUSABLE_FRACTION) & ~np.eye(len(self.detectable_effects), dtype=bool)
+        )
         pairs = [
-            (self.names[i], self.names[j], float(self.similarity[i, j])) for i, j in zip(first, second, strict=True)
+            (self.detectable_effects[i], self.detectable_effects[j], float(self.similarity[i, j]))
+            for i, j in zip(first, second, strict=True)
         ]
         return sorted(pairs, key=lambda pair: -pair[2])
 
 
-def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]) -> Detectability:
+def catalogue_detectability(
+    adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]
+) -> CatalogueDetectability:
     """Detectability of all effects of a catalogue in a layout, at its nominal adjustment.
 
     Terms that the construction estimates are treated as estimated; all others are additional signatures.
     """
-    space = ResidualSpace.of(adjustment)
-    estimated = set(adjustment.construction.names)
+    space = ResidualSpace.from_adjustment(adjustment)
+    estimated = set(adjustment.construction.parameter_names)
     examined: list[EffectDetectability] = []
     silent: list[str] = []
     for entry in catalogue:
         kind = entry if isinstance(entry, type) else type(entry)
         if kind.parameters and {p.name for p in kind.parameters} <= estimated:
-            examined.append(examine_baseline(adjustment, kind()))
+            examined.append(baseline_detectability(adjustment, kind()))
             continue
-        effect_report = examine(space, kind.candidates(adjustment.sightings))
-        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.sizes):
+        effect_report = detectability_at_places(space, kind.candidates(adjustment.sightings))
+        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):
             silent.append(kind.name)
         if effect_report is not None:
             examined.append(effect_report)
-    signed = [effect_report for effect_report in examined if any(b.size for b in effect_report.columns)]
+    signed = [effect_report for effect_report in examined if any(b.size for b in effect_report.projected_basis)]
     similarity = np.array([[explained_fraction(a, b) for b in signed] for a in signed]).reshape(len(signed), -1)
-    return Detectability(tuple(examined), tuple(silent), tuple(s.name for s in signed), similarity)
+    return CatalogueDetectability(tuple(examined), tuple(silent), tuple(s.name for s in signed), similarity)

@@ -19,60 +19,70 @@ from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recordings.setup import GaugeDistance
 
-SECONDS = 15.0
+DEFAULT_POINTING_TIME = 15.0
 """Time of a pointing [s] for a recording without clock."""
 
 
 @dataclass(frozen=True)
-class Network:
+class PlannedNetwork:
     """Recording that may contain hypothetical pointings, and the state that predicts their readings."""
 
     recording: Recording
-    state: State
+    """Recording, with hypothetical pointings."""
+    state: NetworkState
+    """State that predicts the readings."""
     construction: Construction
     """Construction of the instrument whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of these parameters; None for the one declared in the set-up."""
 
     @classmethod
-    def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:
+    def from_adjustment(cls, adjustment: Adjustment, construction: Construction | None = None) -> PlannedNetwork:
         """Network of an adjustment, without rejected readings.
 
         An adjustment of corrected readings has no parameters; those of `construction` are then zero.
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
-        values, prior = state.instrument, adjustment.problem.prior if adjustment.construction == built else None
-        if values.shape[1] != built.size:
-            values = np.zeros((len(recording.instruments), built.size))
-        used = np.where(adjustment.problem.use, recording.readings, np.nan)
-        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built, prior)
+        values, prior = (
+            state.instrument_parameters,
+            adjustment.problem.prior if adjustment.construction == built else None,
+        )
+        if values.shape[1] != built.n_parameters:
+            values = np.zeros((len(recording.instruments), built.n_parameters))
+        used = np.where(adjustment.problem.used_readings, recording.readings, np.nan)
+        return cls(
+            recording.with_readings(used),
+            replace(state, instrument_parameters=values, extra_parameters=np.zeros(0)),
+            built,
+            prior,
+        )
 
     @cached_property
     def adjustment(self) -> Adjustment:
         """Adjustment of this network; raises NetworkError for an undetermined pose."""
-        return Adjustment.planned(self.recording, self.state, self.construction, prior=self.prior)
+        return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
         problem = self.adjustment.problem
-        return self.adjustment.covariance_of(problem.unknowns.instrument), problem.prior.sigma
+        return self.adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:
         """Usual time [s] between pointings."""
         recording = self.recording
         if not recording.has_clock or len(recording) < 2:
-            return SECONDS
-        return float(np.median(np.diff(np.sort(recording.time)))) or SECONDS
+            return DEFAULT_POINTING_TIME
+        return float(np.median(np.diff(np.sort(recording.time)))) or DEFAULT_POINTING_TIME
 
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
-    ) -> Network:
+    ) -> PlannedNetwork:
         """Network with additional pointings to `target` (k,), later than all others.
 
         `time` [s] is that of the first of them, or of each; default right after the last one made.
@@ -109,32 +119,41 @@ class Network:
         predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
         return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
 
-    def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:
+    def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
         """Network with an additional set-up at `position` (3,), `rotation` (3, 3).
 
-        Instrument and level are those of set-up `like`.
+        Instrument and level are those of set-up `template_station`.
         """
         recording, state = self.recording, self.state
-        declared = recording.station_setup(recording.stations[like])
+        declared = recording.station_setup(recording.stations[template_station])
         fresh = declared.model_copy(
             update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None}
         )
         setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
-        places, turns = np.vstack([state.position, position]), np.concatenate([state.rotation, rotation[None]])
+        places, turns = (
+            np.vstack([state.station_positions, position]),
+            np.concatenate([state.station_rotations, rotation[None]]),
+        )
         grown = recording.replace(setup=setup, stations=(*recording.stations, name))
-        return replace(self, recording=grown, state=replace(state, position=places, rotation=turns))
+        return replace(self, recording=grown, state=replace(state, station_positions=places, station_rotations=turns))
 
-    def with_targets(self, names: Sequence[str], points: Floats) -> Network:
+    def with_targets(self, names: Sequence[str], points: Floats) -> PlannedNetwork:
         """Network with additional reflectors at `points` (k, 3) without pointings."""
         grown = self.recording.replace(targets=(*self.recording.targets, *names))
-        return replace(self, recording=grown, state=replace(self.state, points=np.vstack([self.state.points, points])))
+        return replace(
+            self,
+            recording=grown,
+            state=replace(self.state, target_points=np.vstack([self.state.target_points, points])),
+        )
 
-    def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
+    def with_length(self, first: int, second: int, sigma_mm: float) -> PlannedNetwork:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
-        recording, rows = self.recording, GaugeRows.of(self.recording)
-        if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
+        recording, rows = self.recording, GaugeRows.from_recording(self.recording)
+        if {first, second} in (
+            set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
+        ):
             return self
-        length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
+        length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
         # `from` is a keyword: the alias goes in through a mapping.
         ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
         added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)

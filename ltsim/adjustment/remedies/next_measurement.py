@@ -15,18 +15,18 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.detectability import thinned
-from ltsim.adjustment.remedies.network import Network
+from ltsim.adjustment.remedies.detectability import select_places
+from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.remedy import (
-    EFFORT,
+    KINDS_BY_EFFORT,
     Remedy,
-    advice,
-    calibrated_length,
-    further_pointings,
-    further_stations,
-    listed,
-    other_ways,
-    returns,
+    advice_sentence,
+    calibrated_length_remedy,
+    list_text,
+    pointing_remedies,
+    procedure_remedies,
+    return_remedies,
+    station_remedies,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
@@ -35,22 +35,22 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.effects.verbs import each_of
+from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 
-DECISIVE = 10.0
+MIN_DECISIVE_CHI2 = 10.0
 """Expected difference of chi-square from which two explanations count as distinguished."""
-FINALISTS = 24
+N_EVALUATED_PLACES = 24
 """Number of additional places whose evidence is computed completely: those with most information on the instrument."""
-MOVE = 1200.0
+DEFAULT_MOVE_TIME = 1200.0
 """Default time [s] to move the instrument and set it up."""
 
-Progress = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 """Progress callback: name of the step, and finished fraction."""
 
 
-def quiet(*_arguments: object) -> None:
+def no_progress(*_arguments: object) -> None:
     """Progress callback that does nothing."""
 
 
@@ -59,15 +59,15 @@ class Explanation:
     """Effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
 
     effect: Effect
-    values: Floats
+    parameter_values: Floats
 
 
-def space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
+def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
     """Residual space of an adjustment with `extra_effects` in the model."""
-    return ResidualSpace.of(adjustment).with_effects(extra_effects)
+    return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
-def explanation(space: ResidualSpace, name: str) -> Explanation:
+def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     """Explanation of a recording by the effect `name`, at the place and with the shape of the best fit.
 
     Raises ModelError for an unknown effect, and for one without a signature in this recording.
@@ -76,9 +76,9 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
     best: Explanation | None = None
-    least = float(space.residual @ space.residual)
+    least = float(space.residuals @ space.residuals)
     for effect in kind.candidates(space.sightings):
-        values, sum_of_squares = _fitted(space, effect, space.residual)
+        values, sum_of_squares = _best_fit(space, effect, space.residuals)
         if sum_of_squares < least:
             least, best = sum_of_squares, Explanation(effect, values)
     if best is None:
@@ -86,9 +86,9 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
     return best
 
 
-def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size (q,) of an effect that fits a projected vector best, and the remaining squared length."""
-    projected = space.project(space.signature(effect))
+    projected = space.project(space.whitened_signature(effect))
     if not np.isfinite(projected).all() or not projected.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
     values = np.asarray(np.linalg.lstsq(projected, residual, rcond=1e-6)[0], dtype=np.float64)
@@ -96,7 +96,7 @@ def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Flo
 
 
 @dataclass(frozen=True)
-class Rivals:
+class RivalExplanations:
     """Rival explanations with all their alternative instances."""
 
     first: Explanation
@@ -108,188 +108,210 @@ class Rivals:
     """
 
     @classmethod
-    def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
+    def from_explanations(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> RivalExplanations:
         """Rivals of two explanations in the residual space of a recording."""
         return cls(
             first,
             second,
-            (_rival_instances(space, first, second.effect), _rival_instances(space, second, first.effect)),
+            (
+                _instances_with_unexplained_part(space, first, second.effect),
+                _instances_with_unexplained_part(space, second, first.effect),
+            ),
         )
 
     @property
-    def now(self) -> float:
+    def present_evidence(self) -> float:
         """Evidence in the present recording."""
         return min(instances[0][0] for instances in self.rival_instances)
 
-    def evidence(self, space: ResidualSpace) -> float:
+    def expected_evidence(self, space: ResidualSpace) -> float:
         """Expected difference of chi-square in a longer recording, for either explanation."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
-            signature = space.project(space.signature(truth.effect) @ truth.values)
+            signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
             smallest = float(signature @ signature)
             for before, effect in rival_instances:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _fitted(space, effect, signature)[1])
+                smallest = min(smallest, _best_fit(space, effect, signature)[1])
             least.append(smallest)
         return min(least)
 
 
-def _rival_instances(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
-    signature = space.project(space.signature(truth.effect) @ truth.values)
-    instances = [rival, *thinned(type(rival).candidates(space.sightings))]
-    return sorted(((_fitted(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
+def _instances_with_unexplained_part(
+    space: ResidualSpace, truth: Explanation, rival: Effect
+) -> list[tuple[float, Effect]]:
+    signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
+    instances = [rival, *select_places(type(rival).candidates(space.sightings))]
+    return sorted(((_best_fit(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
 
 
 @dataclass(frozen=True)
-class Proposal(ValueEquality):
+class MeasurementProposal(ValueEquality):
     """Proposed measurement and its expected benefit."""
 
     remedy: Remedy
-    sharper: float
+    sigma_ratio: float
     """Factor on the geometric mean of the parameters' standard deviations; below one is better."""
-    serves: str
-    """Parameter that gains most, and the factor on its standard deviation."""
-    serves_factor: float
-    evidence: dict[str, float] = field(default_factory=dict)
+    most_improved_parameter: str
+    """Parameter whose standard deviation decreases most."""
+    most_improved_ratio: float
+    """Factor on the standard deviation of that parameter."""
+    expected_chi2: dict[str, float] = field(default_factory=dict)
     """Expected chi-square difference between the first explanation and each other one, by name."""
 
     @classmethod
-    def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
+    def from_remedy(
+        cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None
+    ) -> MeasurementProposal:
         """Proposal from a remedy's gain for the first instrument of a planned network.
 
         Gain 1 for one without parameters.
         """
-        if not adjustment.construction.size:
+        if not adjustment.construction.n_parameters:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
         sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best = int(np.argmin(ratio))
-        return cls(remedy, float(sharper), adjustment.construction.names[best], float(ratio[best]), evidence or {})
+        return cls(
+            remedy, float(sharper), adjustment.construction.parameter_names[best], float(ratio[best]), evidence or {}
+        )
 
     @property
-    def distinguished(self) -> tuple[str, ...]:
+    def distinguished_explanations(self) -> tuple[str, ...]:
         """Names of the explanations that would be distinguished from the first."""
-        return tuple(name for name, value in self.evidence.items() if value >= DECISIVE)
+        return tuple(name for name, value in self.expected_chi2.items() if value >= MIN_DECISIVE_CHI2)
 
     @property
-    def decides(self) -> bool:
+    def distinguishes_all(self) -> bool:
         """True if all would be distinguished from the first."""
-        return bool(self.evidence) and len(self.distinguished) == len(self.evidence)
+        return bool(self.expected_chi2) and len(self.distinguished_explanations) == len(self.expected_chi2)
 
     @property
-    def rank(self) -> tuple[int, int, float, float]:
+    def sort_key(self) -> tuple[int, int, float, float]:
         """Sort key, smaller is better: number of distinguished explanations, then effort, then evidence."""
-        near = sum(min(value, DECISIVE) for value in self.evidence.values())
-        if not self.distinguished:
+        near = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
+        if not self.distinguished_explanations:
             return 0, 0, 0.0, -near
-        return -len(self.distinguished), EFFORT.index(self.remedy.kind), self.remedy.seconds, -near
+        return (
+            -len(self.distinguished_explanations),
+            KINDS_BY_EFFORT.index(self.remedy.kind),
+            self.remedy.duration,
+            -near,
+        )
 
 
 @dataclass(frozen=True)
 class RankedProposals(ValueEquality):
     """Proposals of further measurements as networks, the best first."""
 
-    proposals: tuple[Proposal, ...]
-    between: tuple[str, ...] = ()
+    proposals: tuple[MeasurementProposal, ...]
+    compared_explanations: tuple[str, ...] = ()
     """Names of the explanations to distinguish; empty for information on the instrument."""
-    evidence_now: dict[str, float] = field(default_factory=dict)
+    present_chi2: dict[str, float] = field(default_factory=dict)
     """Chi-square difference between the first and each other explanation in the present recording."""
 
     @property
-    def advice(self) -> str:
+    def advice_sentence(self) -> str:
         """Sentence on the deciding measurement, or on the most informative one without a question."""
         best = self.proposals[0]
-        if not self.between:
-            return best.remedy.words
-        distinguished = best.distinguished or self.between[1:]
+        if not self.compared_explanations:
+            return best.remedy.instruction
+        distinguished = best.distinguished_explanations or self.compared_explanations[1:]
         now, then = (
-            listed([f"{values[name]:.0f}" for name in distinguished]) for values in (self.evidence_now, best.evidence)
+            list_text([f"{values[name]:.0f}" for name in distinguished])
+            for values in (self.present_chi2, best.expected_chi2)
         )
-        titles = {name: title_of(name) for name in self.between}
-        others = listed([titles[name] for name in distinguished])
-        values = {"first": titles[self.between[0]], "others": others, "then": then}
-        if not best.distinguished:
-            return advice("undecided", needed=DECISIVE, **values)
-        sentence = advice("decided", do=best.remedy.words, now=now, **values)
-        remaining = [titles[name] for name in self.between[1:] if name not in distinguished]
-        return sentence + (advice("left open", others=listed(remaining)) if remaining else "")
+        titles = {name: title_of(name) for name in self.compared_explanations}
+        others = list_text([titles[name] for name in distinguished])
+        values = {"first": titles[self.compared_explanations[0]], "others": others, "then": then}
+        if not best.distinguished_explanations:
+            return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **values)
+        sentence = advice_sentence("decided", do=best.remedy.instruction, now=now, **values)
+        remaining = [titles[name] for name in self.compared_explanations[1:] if name not in distinguished]
+        return sentence + (advice_sentence("left open", others=list_text(remaining)) if remaining else "")
 
 
-def next_measurement(
+def rank_next_measurements(
     recording: RecordingSource,
     *,
-    between: Sequence[str] = (),
+    explanations: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
-    progress: Progress = quiet,
+    progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
-    measured = recording_of(recording)
+    measured = load_recording(recording)
     adjustment = adjust(measured, declared_construction(measured))
     adjustment.solution.require_success()
-    if len(between) > 1:
-        plain = space_of(adjustment)
-        extra_effects = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
-        space = space_of(adjustment, extra_effects)
-        asked = [explanation(space, name) for name in between]
-        return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)
-    network, move = Network.of(adjustment), 60.0 * minutes_per_move
-    every = *further_pointings(network), *returns(network, move), *further_stations(network, move)
+    if len(explanations) > 1:
+        plain = residual_space_of(adjustment)
+        extra_effects = [
+            best_explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)
+        ]
+        space = residual_space_of(adjustment, extra_effects)
+        asked = [best_explanation(space, name) for name in explanations]
+        return rank_deciding_measurements(
+            adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress
+        )
+    network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
+    every = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
     remedies = [remedy for remedy in every if remedy.is_determined]
     proposals = []
     for done, remedy in enumerate(remedies, 1):
-        proposals.append(Proposal.of(remedy, network.adjustment))
+        proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment))
         progress("trying further measurements", done / len(remedies))
-    return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sharper)))
+    return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sigma_ratio)))
 
 
-def deciding(
+def rank_deciding_measurements(
     adjustment: Adjustment,
     explanations: Sequence[Explanation],
     extra_effects: Sequence[Signature] = (),
     *,
-    seconds_per_move: float = MOVE,
-    first_is_enough: bool = False,
-    progress: Progress = quiet,
+    seconds_per_move: float = DEFAULT_MOVE_TIME,
+    stops_at_first: bool = False,
+    progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Ranking of remedies by the evidence that they give between two or more explanations of an adjusted recording.
 
     Each explanation is to be distinguished from the first; those already distinguished are ignored. `extra_effects` are
-    in the model. With `first_is_enough` the search ends at the first remedy that decides.
+    in the model. With `stops_at_first` the search ends at the first remedy that decides.
     """
-    network, (first, *others) = Network.of(adjustment), explanations
-    space = space_of(network.adjustment, extra_effects)
-    rivals = {other.effect.name: Rivals.of(space, first, other) for other in others}
-    decided = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
+    network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
+    space = residual_space_of(network.adjustment, extra_effects)
+    rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
+    decided = [name for name, pair in rivals.items() if pair.present_evidence >= MIN_DECISIVE_CHI2]
     if len(decided) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided}
     suspects = [target for e in explanations for target in e.effect.targets]
-    near = sorted(further_pointings(network, suspects), key=_effort)
-    again = sorted(returns(network, seconds_per_move), key=_effort)
-    late = sorted([*other_ways(network), *calibrated_length(network)], key=_effort)
-    total = len(near) + len(again) + FINALISTS + len(late)
-    judged: list[Proposal] = []
-    every = chain(near, again, _finalists(network, seconds_per_move), late)
+    near = sorted(pointing_remedies(network, suspects), key=_effort_rank)
+    again = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
+    late = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
+    total = len(near) + len(again) + N_EVALUATED_PLACES + len(late)
+    judged: list[MeasurementProposal] = []
+    every = chain(near, again, _most_informative_stations(network, seconds_per_move), late)
     for remedy in (candidate for candidate in every if candidate.is_determined):
-        longer = space_of(remedy.network.adjustment, extra_effects)
-        evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
-        judged.append(Proposal.of(remedy, network.adjustment, evidence))
+        longer = residual_space_of(remedy.network.adjustment, extra_effects)
+        evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
+        judged.append(MeasurementProposal.from_remedy(remedy, network.adjustment, evidence))
         progress("weighing the explanations", min(len(judged) / total, 1.0))
-        if first_is_enough and judged[-1].decides:
+        if stops_at_first and judged[-1].distinguishes_all:
             break
-    ranked = tuple(sorted(judged, key=lambda p: p.rank))
-    return RankedProposals(ranked, (first.effect.name, *rivals), {name: pair.now for name, pair in rivals.items()})
+    ranked = tuple(sorted(judged, key=lambda p: p.sort_key))
+    return RankedProposals(
+        ranked, (first.effect.name, *rivals), {name: pair.present_evidence for name, pair in rivals.items()}
+    )
 
 
-def _effort(remedy: Remedy) -> tuple[int, float]:
-    return EFFORT.index(remedy.kind), remedy.seconds
+def _effort_rank(remedy: Remedy) -> tuple[int, float]:
+    return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
 
 
-def _finalists(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+def _most_informative_stations(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
     """Additional stations with most information on the instrument, the quickest first."""
-    remedies = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
-    proposals = [Proposal.of(remedy, network.adjustment) for remedy in remedies]
-    best = sorted(proposals, key=lambda p: p.sharper)[:FINALISTS]
-    yield from sorted((p.remedy for p in best), key=_effort)
+    remedies = (remedy for remedy in station_remedies(network, seconds_per_move) if remedy.is_determined)
+    proposals = [MeasurementProposal.from_remedy(remedy, network.adjustment) for remedy in remedies]
+    best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
+    yield from sorted((p.remedy for p in best), key=_effort_rank)

@@ -12,43 +12,55 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ltsim.adjustment.remedies.network import Network
+from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.measurement import State
+from ltsim.geometry.rotations import rotation_about_z
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
-from ltsim.scene.visibility import SightLimits, visibility
+from ltsim.scene.visibility import SightLimits, compute_visibility
 
-Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
-EFFORT: tuple[Kind, ...] = get_args(Kind)
+RemedyKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
+"""Kind of an additional measurement."""
+KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
 """Kinds of remedies in the order of effort."""
-SET_UPS = ("return", "station")
+SETUP_KINDS = ("return", "station")
+"""Kinds of remedies that need another set-up."""
 
-CLOSING = 3
+N_CLOSING_TARGETS = 3
 """Number of targets that are measured again before a station is left."""
-ROUNDS, AGAIN = 4, 3
-"""Number of additional rounds at the last station, and of pointings to a suspect target."""
-TURN = 90.0 * DEGREE
+N_ADDITIONAL_ROUNDS = 4
+"""Number of additional rounds at the last station."""
+N_SUSPECT_POINTINGS = 3
+"""Number of additional pointings to a suspect target."""
+BASE_ROTATION = 90.0 * DEGREE
 """Rotation of the base at a position that an instrument has already had."""
-RETURNS = 12
+MAX_REPEATED_SETUPS = 12
 """Largest number of set-ups that are tried again, distributed evenly."""
-GRID, TURNS = 5, 4
-"""Number of positions along each side of the floor, and of yaws at each, that are tried for an additional station."""
-CROWDED = 30
+N_GRID_POSITIONS = 5
+"""Number of positions along each side of the floor that are tried for an additional station."""
+N_YAWS = 4
+"""Number of yaws that are tried at each position of an additional station."""
+MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups from which no additional one is tried."""
-CLEARANCE = 0.8
+MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
-BAR_LENGTH, BAR_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
-"""Length that a workshop can have calibrated [m], its standard deviation [mm], and the time [s] for it."""
-NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
+REFERENCE_BAR_LENGTH = 2.0
+"""Length [m] of a bar that a workshop can have calibrated."""
+REFERENCE_BAR_SIGMA_MM = 0.002
+"""Standard deviation [mm] of the calibrated length of the bar."""
+BAR_CALIBRATION_TIME = 7200.0
+"""Time [s] for the calibration of the bar."""
+NEAR_REFLECTOR_COORDINATES = np.array(
+    [[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))]
+)
 """Range [m], azimuth, elevation [rad] of near reflectors."""
-NEST = 300.0
+NEST_MOUNTING_TIME = 300.0
 """Time [s] to mount a nest."""
-ADVICE = {
+ADVICE_SENTENCES = {
     # from the last station, before it is left
     "other face here": "measure all targets from {station} in the other face as well",
     "close here": "measure the first {count} targets of {station} again before leaving it",
@@ -81,12 +93,12 @@ ADVICE = {
 """Sentences of advice by kind of remedy: the action, and its benefit."""
 
 
-def advice(key: str, **values: object) -> str:
+def advice_sentence(remedy_kind: str, **values: object) -> str:
     """Sentence of advice with its values."""
-    return ADVICE[key].format(**values)
+    return ADVICE_SENTENCES[remedy_kind].format(**values)
 
 
-def listed(names: list[str] | tuple[str, ...]) -> str:
+def list_text(names: list[str] | tuple[str, ...]) -> str:
     """Names joined by commas and `and`."""
     return " and ".join(names)
 
@@ -95,12 +107,12 @@ def listed(names: list[str] | tuple[str, ...]) -> str:
 class Remedy:
     """Remedy: a measurement that could be added."""
 
-    kind: Kind
-    words: str
+    kind: RemedyKind
+    instruction: str
     """Instruction to the user."""
-    seconds: float
+    duration: float
     """Duration of the measurement [s]."""
-    network: Network
+    network: PlannedNetwork
     """Network with the proposed measurement, with predicted readings."""
 
     @property
@@ -116,10 +128,14 @@ class Remedy:
         return True
 
     @property
-    def set_up(self) -> tuple[Floats, float] | None:
+    def added_setup_on_plan(self) -> tuple[Floats, float] | None:
         """Position (3,) [m] and yaw [rad] of an additional set-up, on the floor plan; None for another remedy."""
-        state, plan = self.network.state, FloorPlan.of(self.network.recording, self.network.state)
-        return (plan.place(state.position[-1]), plan.yaw(state.rotation[-1])) if self.kind in SET_UPS else None
+        state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
+        return (
+            (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
+            if self.kind in SETUP_KINDS
+            else None
+        )
 
 
 @dataclass(frozen=True)
@@ -130,22 +146,24 @@ class FloorPlan:
     """
 
     rotation: Floats
-    """Rotation (3, 3) and translation (3,) [m]."""
+    """Rotation (3, 3) from the network frame to the plan."""
     translation: Floats
-    on_plan: bool
+    """Translation (3,) [m] from the network frame to the plan."""
+    has_plan: bool
+    """True if the set-up gives positions on a floor plan."""
 
     @classmethod
-    def of(cls, recording: Recording, state: State) -> FloorPlan:
+    def from_recording(cls, recording: Recording, state: NetworkState) -> FloorPlan:
         """Floor plan from the stations of an adjusted network."""
-        return cls.by(recording.setup, recording.stations, state.position, state.rotation)
+        return cls.from_positions(recording.setup, recording.stations, state.station_positions, state.station_rotations)
 
     @classmethod
-    def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
+    def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
         """Floor plan from the positions (and directions of azimuth zero) of stations in a set-up."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         placed = [i for i, station in setups.items() if station.position_mm is not None]
         if not placed:
-            return cls(np.eye(3), np.zeros(3), on_plan=False)
+            return cls(np.eye(3), np.zeros(3), has_plan=False)
         here, there = position[placed], np.array([setups[i].position_mm for i in placed]) * MILLIMETRE
         yaws = [i for i in placed if setups[i].yaw_deg is not None]
         if yaws:
@@ -154,166 +172,191 @@ class FloorPlan:
         else:
             away, goal = here - here.mean(axis=0), there - there.mean(axis=0)
             turns = (goal[:, 0] + 1j * goal[:, 1]) * (away[:, 0] - 1j * away[:, 1])
-        turn = about_z(float(np.angle(turns.sum())))
-        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), on_plan=True)
+        turn = rotation_about_z(float(np.angle(turns.sum())))
+        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), has_plan=True)
 
-    def place(self, position: Floats) -> Floats:
+    def positions_on_plan(self, position: Floats) -> Floats:
         """Positions (..., 3) on the plan."""
         return position @ self.rotation.T + self.translation
 
-    def yaw(self, rotation: Floats) -> float:
+    def yaw_on_plan(self, rotation: Floats) -> float:
         """Yaw [rad] on the plan of an instrument with rotation (3, 3)."""
         turned = self.rotation @ rotation
         return float(np.arctan2(turned[1, 0], turned[0, 0]))
 
 
-def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
-    """Remedies at the last station before it is dismantled; `suspects` are targets that should be measured again."""
+def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = ()) -> Iterator[Remedy]:
+    """Remedies at the last station before it is dismantled.
+
+    `suspect_targets` are targets that should be measured again.
+    """
     recording = network.recording
     last = int(recording.station[np.argmax(recording.time)])
-    station, here = recording.stations[last], _visit(recording, last)
-    order = _first_visits(recording.target[here])
+    station, here = recording.stations[last], _setup_rows(recording, last)
+    order = _targets_in_order(recording.target[here])
     usual = int(recording.face[here[0]])
 
     def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
         seconds = len(target) * network.seconds_per_pointing
-        words = advice(key, station=station, **values)
+        words = advice_sentence(key, station=station, **values)
         return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
 
     if len(np.unique(recording.face[here])) == 1:
         yield remedy("other face here", order[::-1], 3 - usual)
-    yield remedy("close here", order[:CLOSING], count=min(CLOSING, len(order)))
+    yield remedy("close here", order[:N_CLOSING_TARGETS], count=min(N_CLOSING_TARGETS, len(order)))
     yield remedy("reverse here", order[::-1])
-    again = [t for t in order.tolist() if recording.targets[t] in set(suspects)]
+    again = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if again:
-        names = listed([recording.targets[t] for t in again])
-        yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
-    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
+        names = list_text([recording.targets[t] for t in again])
+        yield remedy(
+            "look again",
+            np.tile(np.array(again, dtype=np.int64), N_SUSPECT_POINTINGS),
+            targets=names,
+            count=N_SUSPECT_POINTINGS,
+        )
+    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS)
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
-    away = np.linalg.norm(network.state.points[unseen] - network.state.position[last], axis=1)
-    unseen = unseen[away > CLEARANCE]  # nobody aims at the mark that the tripod stands on
+    away = np.linalg.norm(network.state.target_points[unseen] - network.state.station_positions[last], axis=1)
+    unseen = unseen[away > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
 
-def returns(network: Network, seconds_per_move: float, stations: Iterable[int] | None = None) -> Iterator[Remedy]:
+def return_remedies(
+    network: PlannedNetwork, seconds_per_move: float, stations: Iterable[int] | None = None
+) -> Iterator[Remedy]:
     """Remedies with another set-up at each position of an instrument, with rotated base, for the same targets."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
+    chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
     for s in chosen if stations is None else stations:
-        target = _first_visits(recording.target[_visit(recording, s)])
+        target = _targets_in_order(recording.target[_setup_rows(recording, s)])
         if len(target):
-            words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
-            grown = network.with_station(_fresh(recording), s, state.position[s], state.rotation[s] @ about_z(TURN))
-            yield _set_up("return", words, grown, target, seconds_per_move)
+            words = advice_sentence("turned", station=recording.stations[s], turn=BASE_ROTATION / DEGREE)
+            grown = network.with_station(
+                _unused_station_name(recording),
+                s,
+                state.station_positions[s],
+                state.station_rotations[s] @ rotation_about_z(BASE_ROTATION),
+            )
+            yield _setup_remedy("return", words, grown, target, seconds_per_move)
 
 
-def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
     """Remedies with an additional station on a grid between and around the others, with several yaws."""
     recording, state = network.recording, network.state
-    if len(recording.stations) >= CROWDED:
+    if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
         return
-    plan, name = FloorPlan.of(recording, state), _fresh(recording)
-    frame = "floor plan" if plan.on_plan else f"frame of {recording.stations[0]}"
+    plan, name = FloorPlan.from_recording(recording, state), _unused_station_name(recording)
+    frame = "floor plan" if plan.has_plan else f"frame of {recording.stations[0]}"
     travel = recording.instrument_of(recording.stations[0]).limits or Limits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
-    low, high = state.position.min(axis=0), state.position.max(axis=0)
+    low, high = state.station_positions.min(axis=0), state.station_positions.max(axis=0)
     margin = 0.2 * (high - low) + 0.2
-    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
-    places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
-    taken = np.concatenate([state.position, state.points])
-    visible = visibility(places, state.points, limits).visible
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], N_GRID_POSITIONS) for k in range(2))
+    places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
+    taken = np.concatenate([state.station_positions, state.target_points])
+    visible = compute_visibility(places, state.target_points, limits).is_visible
     for position, sights in zip(places, visible, strict=True):
-        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
+        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
             continue
-        for turn in range(TURNS):
-            rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
-            place, yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
-            words = advice("new station", station=name, place=place, yaw=yaw, frame=frame)
+        for turn in range(N_YAWS):
+            rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_YAWS)
+            place, yaw = plan.positions_on_plan(position), plan.yaw_on_plan(rotation) / DEGREE % 360
+            words = advice_sentence("new station", station=name, place=place, yaw=yaw, frame=frame)
             grown = network.with_station(name, 0, position, rotation)
-            yield _set_up("station", words, grown, np.flatnonzero(sights), seconds_per_move)
+            yield _setup_remedy("station", words, grown, np.flatnonzero(sights), seconds_per_move)
 
 
-def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_move: float) -> Remedy:
+def _setup_remedy(
+    kind: RemedyKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
+) -> Remedy:
     """Remedy with targets measured from an additional set-up, the last one of a network."""
-    recording, faces = grown.recording, np.unique(grown.recording.face)
+    recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start = float(recording.time.max()) + seconds_per_move
-    seconds = seconds_per_move + len(targets) * grown.seconds_per_pointing
-    return Remedy(kind, words, seconds, grown.with_pointings(len(recording.stations) - 1, targets, face, start))
+    seconds = seconds_per_move + len(targets) * network.seconds_per_pointing
+    return Remedy(kind, instruction, seconds, network.with_pointings(len(recording.stations) - 1, targets, face, start))
 
 
-def other_ways(network: Network) -> Iterator[Remedy]:
+def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
     """Remedies with a changed procedure at all stations: both faces if one is used, then another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
     for key in ("other face", "close", "reverse"):
         made = []
         for s in np.unique(recording.station):
-            rows = _visit(recording, s)
+            rows = _setup_rows(recording, s)
             last = recording.time[rows[-1]]
-            made += [(s, t, f, last + step * i) for i, (t, f) in enumerate(_more(recording, rows, key), 1)]
+            made += [
+                (s, t, f, last + step * i) for i, (t, f) in enumerate(_additional_pointings(recording, rows, key), 1)
+            ]
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
-            yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
+            yield Remedy("survey", advice_sentence(key, count=N_CLOSING_TARGETS), work + len(made) * step, grown)
 
 
-def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
+def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
     """Target and face of the additional pointings of a visit under another procedure."""
     made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
-    if key == "other face":
+    if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in made} - set(made))
-    if key == "close":
-        return [(t, made[0][1]) for t in _first_visits(recording.target[rows])[:CLOSING].tolist()]
+    if procedure == "close":
+        return [(t, made[0][1]) for t in _targets_in_order(recording.target[rows])[:N_CLOSING_TARGETS].tolist()]
     return made[::-1]
 
 
-def other_face(network: Network) -> Remedy | None:
+def second_face_remedy(network: PlannedNetwork) -> Remedy | None:
     """Remedy with both faces at each station; None if they are already used."""
-    first = next(other_ways(network), None)
-    return first if first and first.words == advice("other face") else None
+    first = next(procedure_remedies(network), None)
+    return first if first and first.instruction == advice_sentence("other face") else None
 
 
-def calibrated_length(network: Network) -> Iterator[Remedy]:
+def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
     """Remedy with a calibrated length between the pair of targets with a distance nearest to 2 m."""
-    points, names = network.state.points, network.recording.targets
+    points, names = network.state.target_points, network.recording.targets
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
-    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - BAR_LENGTH)))
+    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
     i, j = int(first[best]), int(second[best])
-    words = advice("length", length=BAR_LENGTH, targets=listed([names[i], names[j]]))
-    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, BAR_SIGMA_MM))
+    words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
+    yield Remedy("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
 
 
-def near_reflectors(network: Network) -> Iterator[Remedy]:
+def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
     """Remedies with four reflectors near each of the first two stations, measured from all stations."""
-    both = other_face(network)
+    both = second_face_remedy(network)
     for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
         recording, state = start.recording, start.state
-        points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
-        axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)
+        points = np.concatenate(
+            [centre + from_polar(NEAR_REFLECTOR_COORDINATES) for centre in state.station_positions[:2]]
+        )
+        axes = (
+            np.arange(len(recording.stations)),
+            len(state.target_points) + np.arange(len(points)),
+            np.unique(recording.face),
+        )
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         wider = start.with_targets([f"near-{i + 1}" for i in range(len(points))], points)
         grown = wider.with_pointings(station, target, face)
         added = len(grown.recording) - len(network.recording)
-        seconds = NEST * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
-        yield Remedy("reflectors", advice(key), seconds, grown)
+        seconds = NEST_MOUNTING_TIME * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
+        yield Remedy("reflectors", advice_sentence(key), seconds, grown)
 
 
-def _visit(recording: Recording, station: int) -> Ints:
+def _setup_rows(recording: Recording, station: int) -> Ints:
     """Rows of one set-up in the order of time."""
     here = np.flatnonzero(recording.station == station)
     return here[np.argsort(recording.time[here], kind="stable")]
 
 
-def _first_visits(target: Ints) -> Ints:
+def _targets_in_order(target: Ints) -> Ints:
     """Distinct targets in the order of their first pointings."""
     return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
 
 
-def _fresh(recording: Recording) -> str:
+def _unused_station_name(recording: Recording) -> str:
     """Name that no set-up has."""
     return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)

@@ -12,19 +12,25 @@ from itertools import chain, combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.network import Network
-from ltsim.adjustment.remedies.remedy import advice, calibrated_length, near_reflectors, other_face, returns
+from ltsim.adjustment.remedies.network import PlannedNetwork
+from ltsim.adjustment.remedies.remedy import (
+    advice_sentence,
+    calibrated_length_remedy,
+    near_reflector_remedies,
+    return_remedies,
+    second_face_remedy,
+)
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import Construction
 
-DETERMINED = 0.5
+MIN_DETERMINED_GAIN = 0.5
 """Smallest gain of a determined combination."""
-UNINFORMATIVE = 0.01
+MAX_UNINFORMATIVE_GAIN = 0.01
 """Gain below which combinations count as equally undetermined, so that simple rotations of them are reported."""
-SHOWN = 0.1
+MIN_REPORTED_COEFFICIENT = 0.1
 """Smallest coefficient of a combination that is reported."""
-MATERIAL = 0.05
+MIN_WORTHWHILE_GAIN_INCREASE = 0.05
 """Smallest increase of a gain that is worth a measurement."""
 
 
@@ -37,21 +43,23 @@ MOST_SWEEPS, SMALLEST_ANGLE = 200, 1e-13
 
 
 @dataclass(frozen=True)
-class Direction:
+class ParameterCombination:
     """Combination of parameters: a unit vector (p,) in prior sigmas, and its gain."""
 
     vector: Floats
+    """Unit vector (p,) in prior sigmas."""
     gain: float
+    """Fraction of the prior variance that the readings removed."""
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by name, largest first; the largest is positive, the first of equally large ones."""
         size = np.abs(self.vector)
         order = np.argsort(-np.round(size / TIE), kind="stable")
         sign = np.sign(self.vector[_first_of_largest(size)])
-        return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > SHOWN}
+        return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
 
 
-def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
+def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
     """Gains (p,) in ascending order, and their combinations (p, p) in prior sigmas.
 
     A gain is 1 minus the posterior variance over the prior variance.
@@ -61,18 +69,18 @@ def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
     return np.clip(1.0 - remaining[::-1], 0.0, 1.0), vectors[:, ::-1]
 
 
-def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
+def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[ParameterCombination]:
     """Combinations with a gain below one half, the least determined first.
 
     `covariance` (p, p) is the posterior covariance.
     """
-    gain, vectors = gains(covariance, prior_sigma)
-    silent = gain < UNINFORMATIVE
-    vectors = np.concatenate([simple_rotation(vectors[:, silent]), vectors[:, ~silent]], axis=1)
+    gain, vectors = gains_and_combinations(covariance, prior_sigma)
+    silent = gain < MAX_UNINFORMATIVE_GAIN
+    vectors = np.concatenate([rotate_to_simple_structure(vectors[:, silent]), vectors[:, ~silent]], axis=1)
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
     gain = np.where(gain < ROUNDING, 0.0, gain)
-    weak = [Direction(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < DETERMINED)]
+    weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
     return sorted(weak, key=lambda d: (round(d.gain / ROUNDING), _first_of_largest(np.abs(d.vector))))
 
 
@@ -81,7 +89,7 @@ def _first_of_largest(sizes: Floats) -> int:
     return int(np.flatnonzero(sizes >= (1.0 - TIE) * sizes.max())[0])
 
 
-def simple_rotation(vectors: Floats) -> Floats:
+def rotate_to_simple_structure(vectors: Floats) -> Floats:
     """Orthonormal columns rotated among themselves so that each has few large coefficients.
 
     The result depends on the span of the columns alone: planar rotations of pairs begin at a basis of it that is formed
@@ -121,8 +129,8 @@ def _basis_of_span(vectors: Floats) -> Floats:
     return basis
 
 
-def determining(
-    adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[Direction]]
+def determining_sentences(
+    adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[str]]:
     """Sentences per instrument: for each undetermined direction, the measurement that determines it.
 
@@ -131,18 +139,23 @@ def determining(
     """
     if not any(directions):
         return [[] for _ in directions]
-    network = Network.of(adjustment, construction)
-    now = _gains_along(network, directions)
-    cheap = [r for r in (other_face(network), *calibrated_length(network)) if r]
-    worth = chain(cheap, returns(network, 0.0, [0]), near_reflectors(network))  # the cheapest first
-    tried = [(r.words, _gains_along(r.network, directions)) for r in worth]
+    network = PlannedNetwork.from_adjustment(adjustment, construction)
+    now = _gains_of_combinations(network, directions)
+    cheap = [r for r in (second_face_remedy(network), *calibrated_length_remedy(network)) if r]
+    worth = chain(cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network))  # the cheapest first
+    tried = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in worth]
     return [
-        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(weak)]
-        for i, weak in enumerate(directions)
+        [
+            _determining_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried])
+            for k, d in enumerate(combinations)
+        ]
+        for i, combinations in enumerate(directions)
     ]
 
 
-def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) -> list[list[float]]:
+def _gains_of_combinations(
+    network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
+) -> list[list[float]]:
     """Gain along each direction of each instrument in a network; empty for an undetermined network."""
     try:
         covariance, prior = network.parameter_covariance()
@@ -154,15 +167,19 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
     ]
 
 
-def _sentence(direction: Direction, now: float, tried: Sequence[tuple[str, float]]) -> str:
+def _determining_sentence(
+    direction: ParameterCombination, present_gain: float, remedies_with_gains: Sequence[tuple[str, float]]
+) -> str:
     """Sentence on the measurement that determines one direction.
 
-    `tried` are remedies with their gains, `now` is the present gain.
+    `remedies_with_gains` are remedies with their gains, `present_gain` is the present gain.
     """
-    if now >= DETERMINED > direction.gain:
-        return advice("determined already", then=now)
-    enough = [pair for pair in tried if pair[1] >= DETERMINED]
-    words, then = enough[0] if enough else max(tried, key=lambda pair: pair[1], default=("", now))
-    if then - now < MATERIAL:
-        return advice("not determined")
-    return advice("determined", do=words, now=direction.gain, then=then)
+    if present_gain >= MIN_DETERMINED_GAIN > direction.gain:
+        return advice_sentence("determined already", then=present_gain)
+    enough = [pair for pair in remedies_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
+    words, then = (
+        enough[0] if enough else max(remedies_with_gains, key=lambda pair: pair[1], default=("", present_gain))
+    )
+    if then - present_gain < MIN_WORTHWHILE_GAIN_INCREASE:
+        return advice_sentence("not determined")
+    return advice_sentence("determined", do=words, now=direction.gain, then=then)

@@ -14,35 +14,45 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 
-Nominal = Callable[[Floats], Floats]
+NominalFunction = Callable[[Floats], Floats]
+"""Function from raw readings (n, 3) to the nominal amount (n,) of a motion."""
 
 
 @dataclass(frozen=True)
-class Turn:
+class RotationStep:
     """Rotation by the angle ``nominal(raw) + error[slot]`` [rad] about a coordinate axis (0, 1, 2)."""
 
     axis: int
+    """Index of the coordinate axis."""
     slot: str = ""
-    nominal: Nominal | None = None
+    """Name of the slot for its error; empty for none."""
+    nominal: NominalFunction | None = None
+    """Nominal angle as a function of the readings; None for zero."""
     sign: float = 1.0
+    """Sign of the angle."""
 
 
 @dataclass(frozen=True)
-class Shift:
+class TranslationStep:
     """Translation by the length ``nominal(raw) + error[slot]`` [m] along a coordinate axis (0, 1, 2)."""
 
     axis: int
+    """Index of the coordinate axis."""
     slot: str = ""
-    nominal: Nominal | None = None
+    """Name of the slot for its error; empty for none."""
+    nominal: NominalFunction | None = None
+    """Nominal length as a function of the readings; None for zero."""
     sign: float = 1.0
+    """Sign of the length."""
 
 
-Motion = Turn | Shift
-Chain = tuple[Motion, ...]
+ElementaryMotion = RotationStep | TranslationStep
+KinematicChain = tuple[ElementaryMotion, ...]
+"""Kinematic chain: elementary motions from the base outwards."""
 
 
 @dataclass(frozen=True)
-class Constant:
+class ConstantAmount:
     """Nominal amount of a motion that does not depend on the readings."""
 
     value: float
@@ -53,7 +63,7 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingAmount:
     """Nominal amount of a motion that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
 
     column: int
@@ -64,7 +74,7 @@ class Reading:
         return raw[:, self.column] + self.offset
 
 
-def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats | None:
+def _motion_amount(motion: ElementaryMotion, raw: Floats, errors: Mapping[str, Floats]) -> Floats | None:
     amount = None if motion.nominal is None else motion.nominal(raw)
     error = errors.get(motion.slot)
     if error is not None:
@@ -72,7 +82,7 @@ def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats
     return None if amount is None else motion.sign * amount
 
 
-def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
+def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
     """Rotation in place of vectors (..., n, 3) about a coordinate axis by angles (n,)."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
@@ -80,17 +90,17 @@ def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
         v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
 
 
-def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
+def point_of_readings(chain: KinematicChain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
     """Point (n, 3) [m] of raw readings (n, 3).
 
     `errors` gives the error of each slot, as an array (n,) or one number.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # coordinates apart from each other, whose arrays are contiguous
     for motion in reversed(chain):
-        amount = _amount(motion, raw, errors)
+        amount = _motion_amount(motion, raw, errors)
         if amount is None:
             continue
-        if isinstance(motion, Shift):
+        if isinstance(motion, TranslationStep):
             p[motion.axis] = p[motion.axis] + amount
             continue
         i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
@@ -102,7 +112,7 @@ def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
 
 
 def point_and_derivatives(
-    chain: Chain, raw: Floats, errors: Mapping[str, Floats], slots: set[str]
+    chain: KinematicChain, raw: Floats, errors: Mapping[str, Floats], slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
     """Point (n, 3) [m] of raw readings, and its derivative (n, 3) with respect to each slot in `slots`.
 
@@ -113,19 +123,19 @@ def point_and_derivatives(
     carried, count = np.zeros((len(chain), len(raw), 3)), 0
     derivatives: dict[str, Floats] = {}
     for motion in reversed(chain):
-        amount = _amount(motion, raw, errors)
-        if isinstance(motion, Shift):
+        amount = _motion_amount(motion, raw, errors)
+        if isinstance(motion, TranslationStep):
             if amount is not None:
                 p[:, motion.axis] += amount
         elif amount is not None:
-            _turn(motion.axis, amount, p, carried[:count])
+            _rotate(motion.axis, amount, p, carried[:count])
         if motion.slot not in slots:
             continue
         if motion.slot not in derivatives:
             derivatives[motion.slot] = carried[count]
             count += 1
         by_amount = derivatives[motion.slot]
-        if isinstance(motion, Shift):
+        if isinstance(motion, TranslationStep):
             by_amount[:, motion.axis] += motion.sign
         else:
             i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3

@@ -24,27 +24,34 @@ one instrument frame (azimuth zero on +X); the harmonics are functions of the re
 
 import math
 
-from ltsim.geometry.kinematics.chain import Chain, Constant, Motion, Reading, Shift, Turn
+from ltsim.geometry.kinematics.chain import (
+    ConstantAmount,
+    ElementaryMotion,
+    KinematicChain,
+    ReadingAmount,
+    RotationStep,
+    TranslationStep,
+)
 
-QUARTER = math.pi / 2
+QUARTER_TURN = math.pi / 2
 
 
-def error_motions(joint: str) -> tuple[Motion, ...]:
+def joint_error_motions(joint: str) -> tuple[ElementaryMotion, ...]:
     """Error matrix E_Rot of a rotary joint as elementary motions with slots ``J1.dX`` ... ``J1.eZ``."""
-    shifts = tuple(Shift(i, f"{joint}.d{axis}") for i, axis in enumerate("XYZ"))
-    turns = tuple(Turn(i, f"{joint}.e{axis}") for i, axis in enumerate("XYZ"))
+    shifts = tuple(TranslationStep(i, f"{joint}.d{axis}") for i, axis in enumerate("XYZ"))
+    turns = tuple(RotationStep(i, f"{joint}.e{axis}") for i, axis in enumerate("XYZ"))
     return shifts + turns
 
 
-DH: Chain = (
-    Turn(2, nominal=Constant(-QUARTER)),
-    Turn(2, nominal=Reading(1, -QUARTER)),  # A1 of Table 1: theta - 90, alpha -90
-    Turn(0, nominal=Constant(-QUARTER)),
-    *error_motions("J1"),
-    Turn(2, nominal=Reading(2, -QUARTER)),  # A2: phi - 90, alpha +90
-    Turn(0, nominal=Constant(QUARTER)),
-    *error_motions("J2"),
-    Shift(2, nominal=Reading(0)),  # A3: d, theta -90
-    Turn(2, nominal=Constant(-QUARTER)),
-    *error_motions("T"),
+DH_CHAIN: KinematicChain = (
+    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal=ReadingAmount(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal=ConstantAmount(-QUARTER_TURN)),
+    *joint_error_motions("J1"),
+    RotationStep(2, nominal=ReadingAmount(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal=ConstantAmount(QUARTER_TURN)),
+    *joint_error_motions("J2"),
+    TranslationStep(2, nominal=ReadingAmount(0)),  # A3: d, theta -90
+    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
+    *joint_error_motions("T"),
 )

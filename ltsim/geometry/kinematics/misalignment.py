@@ -10,21 +10,21 @@ Signs: every slot is a correction, added to the raw reading or to the nominal ze
 readings are used unchanged; the signs of the two faces follow from the geometry.
 """
 
-from ltsim.geometry.kinematics.chain import Chain, Reading, Shift, Turn
+from ltsim.geometry.kinematics.chain import KinematicChain, ReadingAmount, RotationStep, TranslationStep
 
-MISALIGNMENT: Chain = (
+MISALIGNMENT_CHAIN: KinematicChain = (
     # Bearing of the standing axis, as functions of the azimuth: tilt and radial run-out in the base frame.
-    Shift(0, "standing-radial-x"),
-    Shift(1, "standing-radial-y"),
-    Shift(2, "standing-axial"),
-    Turn(0, "standing-tilt-x"),
-    Turn(1, "standing-tilt-y"),
-    Turn(2, "azimuth", Reading(1)),
-    Shift(0, "transit-offset"),
-    Turn(0, "transit-tilt"),
-    Turn(1, "elevation", Reading(2), sign=-1.0),
-    Shift(1, "beam-lateral"),
-    Shift(2, "beam-vertical"),
-    Turn(2, "beam-tilt"),
-    Shift(0, "range", Reading(0)),
+    TranslationStep(0, "standing-radial-x"),
+    TranslationStep(1, "standing-radial-y"),
+    TranslationStep(2, "standing-axial"),
+    RotationStep(0, "standing-tilt-x"),
+    RotationStep(1, "standing-tilt-y"),
+    RotationStep(2, "azimuth", ReadingAmount(1)),
+    TranslationStep(0, "transit-offset"),
+    RotationStep(0, "transit-tilt"),
+    RotationStep(1, "elevation", ReadingAmount(2), sign=-1.0),
+    TranslationStep(1, "beam-lateral"),
+    TranslationStep(2, "beam-vertical"),
+    RotationStep(2, "beam-tilt"),
+    TranslationStep(0, "range", ReadingAmount(0)),
 )

@@ -22,32 +22,32 @@ doi:10.6028/jres.114.003. Written here in the exact form; signs as in `kinematic
 
 import math
 
-from ltsim.geometry.kinematics.chain import Chain, Reading, Shift, Turn
+from ltsim.geometry.kinematics.chain import KinematicChain, ReadingAmount, RotationStep, TranslationStep
 
-ZENITH = -0.5 * math.pi
-HALF = -0.5
+ZENITH_ROTATION = -0.5 * math.pi
+HALF_ANGLE_SIGN = -0.5
 
-STEERING_MIRROR: Chain = (
+STEERING_MIRROR_CHAIN: KinematicChain = (
     # To the mirror: T.
-    Turn(2, "azimuth", Reading(1)),
-    Shift(0, "transit-offset"),
-    Turn(0, "transit-tilt"),
-    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
-    Shift(0, "mirror-offset"),
-    Turn(2, "mirror-tilt"),
+    RotationStep(2, "azimuth", ReadingAmount(1)),
+    TranslationStep(0, "transit-offset"),
+    RotationStep(0, "transit-tilt"),
+    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    TranslationStep(0, "mirror-offset"),
+    RotationStep(2, "mirror-tilt"),
     # Its image: T^-1 reflected.
-    Turn(2, "mirror-tilt"),
-    Shift(0, "mirror-offset"),
-    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
-    Turn(0, "transit-tilt", sign=-1.0),
-    Shift(0, "transit-offset"),
-    Shift(0, "cover-forward", sign=-1.0),
-    Shift(1, "cover-left"),
-    Turn(2, "azimuth", Reading(1)),
+    RotationStep(2, "mirror-tilt"),
+    TranslationStep(0, "mirror-offset"),
+    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    RotationStep(0, "transit-tilt", sign=-1.0),
+    TranslationStep(0, "transit-offset"),
+    TranslationStep(0, "cover-forward", sign=-1.0),
+    TranslationStep(1, "cover-left"),
+    RotationStep(2, "azimuth", ReadingAmount(1)),
     # The beam in the base, reflected.
-    Shift(0, "beam-x", sign=-1.0),
-    Shift(1, "beam-y"),
-    Turn(0, "beam-tilt-x"),
-    Turn(1, "beam-tilt-y", sign=-1.0),
-    Shift(2, "range", Reading(0)),
+    TranslationStep(0, "beam-x", sign=-1.0),
+    TranslationStep(1, "beam-y"),
+    RotationStep(0, "beam-tilt-x"),
+    RotationStep(1, "beam-tilt-y", sign=-1.0),
+    TranslationStep(2, "range", ReadingAmount(0)),
 )

@@ -3,17 +3,22 @@
 from importlib import import_module
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.effects.catalogue import Card as Card, Catalogue, Listed as Listed, card_of as card_of
+from ltsim.physics.effects.catalogue import (
+    Catalogue,
+    CatalogueEntry as CatalogueEntry,
+    ListedEffect as ListedEffect,
+    catalogue_entry as catalogue_entry,
+)
 from ltsim.physics.effects.effect import (
     Effect as Effect,
+    LightPathStage as LightPathStage,
     NoiseEffect as NoiseEffect,
     Parameter as Parameter,
     ShapeParameter as ShapeParameter,
     SlotEffect as SlotEffect,
-    Stage as Stage,
 )
 
-FILES = {
+EFFECT_NAMES_BY_GROUP = {
     "instrument geometry": (
         "beam-offset transit-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity elevation-eccentricity "
         "azimuth-second-order elevation-second-order azimuth-harmonic elevation-harmonic encoder-interpolation "
@@ -32,35 +37,41 @@ FILES = {
 """Names of the built-in effects by group; the effect `beam-tilt` is the class `BeamTilt` in `beam_tilt.py`."""
 
 
-def _shipped(name: str) -> type[Effect]:
+def _builtin_effect_class(effect_name: str) -> type[Effect]:
     """Class of a built-in effect, from the module with its name."""
-    held = vars(import_module(f"{__name__}.{name.replace('-', '_')}")).values()
-    return next(kind for kind in held if isinstance(kind, type) and vars(kind).get("name") == name)
+    held = vars(import_module(f"{__name__}.{effect_name.replace('-', '_')}")).values()
+    return next(kind for kind in held if isinstance(kind, type) and vars(kind).get("name") == effect_name)
 
 
-GROUPS = {group: tuple(map(_shipped, names.split())) for group, names in FILES.items()}
+EFFECT_CLASSES_BY_GROUP = {
+    group: tuple(map(_builtin_effect_class, names.split())) for group, names in EFFECT_NAMES_BY_GROUP.items()
+}
 """Classes of the built-in effects by group, in the order of the files."""
 
-CATALOGUE = Catalogue(GROUPS)
+CATALOGUE = Catalogue(EFFECT_CLASSES_BY_GROUP)
 """Catalogue of all effects: built-in ones, then those of installed packages (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
+"""Class of an effect by its name; raises ModelError with the most similar names for an unknown one."""
 
 
 def title_of(name: str) -> str:
     """Title of an effect for the middle of a sentence; for an unknown name, the name without hyphens."""
     try:
-        title = card_of(find_effect(name)).title
+        title = catalogue_entry(find_effect(name)).title
     except ModelError:
         return name.replace("-", " ")
     return f"{title[0].lower()}{title[1:]}"
 
 
-_ORDINARY = (
+ORDINARY_CALIBRATION_EFFECTS = (
     "range-offset range-scale transit-offset beam-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity "
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
-BASELINE = tuple(effect for name in _ORDINARY.split() if isinstance(effect := find_effect(name)(), SlotEffect))
+"""Names of the effects whose parameters every ordinary calibration estimates."""
+BASELINE = tuple(
+    effect for name in ORDINARY_CALIBRATION_EFFECTS.split() if isinstance(effect := find_effect(name)(), SlotEffect)
+)
 """Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and
 scale.
 """

@@ -11,41 +11,41 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.air_gradient import AirGradient
-from ltsim.physics.effects.rays import bending
+from ltsim.physics.effects.rays import relative_index_change_per_kelvin
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.turbulence import Turbulence
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.scene.sightings import Sightings
 
 
-def air_errors(air: Air, sightings: Sightings) -> Floats:
+def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Change (n, 3, 2) of the raw readings by one standard deviation of the temperature and of the gradient."""
-    weather = StationWeather().design(sightings) * (bending() * air.temperature_k)
+    weather = StationWeather().design(sightings) * (relative_index_change_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
 
 
-def turbulence_variance(air: Air, sightings: Sightings) -> Floats:
+def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Variance (n, 3) of the readings due to turbulence."""
     size = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), size)
 
 
-def across_beam(air: Air, range_: float) -> float:
-    """Standard deviation [m] perpendicular to the beam at a range [m]."""
-    bent = 0.5 * bending() * air.gradient_k_per_m * range_**2
+def turbulence_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
+    """Standard deviation [m] of an observed point due to turbulence, perpendicular to the beam, at a range [m]."""
+    bent = 0.5 * relative_index_change_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
-def along_beam(air: Air, range_: float) -> float:
-    """Standard deviation [m] along the beam at a range [m]."""
-    return bending() * air.temperature_k * range_
+def turbulence_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
+    """Standard deviation [m] of the range due to turbulence, at a range [m]."""
+    return relative_index_change_per_kelvin() * air.temperature_k * range_
 
 
-def air_words(air: Air, longest: float) -> str:
+def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
     """Text of the standard deviations of the air, and of the errors that they cause at the longest range [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "
-        f"at {longest:.0f} m {along_beam(air, longest) / MICROMETRE:.0f} um along and "
-        f"{across_beam(air, longest) / MICROMETRE:.0f} um across the beam"
+        f"at {max_range:.0f} m {turbulence_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
+        f"{turbulence_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
     )

@@ -4,13 +4,13 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Parameter, Stage, on_readings
-from ltsim.physics.effects.rays import AirField, WarmAir, bending
+from ltsim.physics.effects.effect import LightPathStage, Parameter, design_from_front_face_corrections
+from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_change_per_kelvin
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class AirGradient(WarmAir):
+class AirGradient(WarmAirEffect):
     """Uniform vertical gradient of the air's temperature: warm air lies above cool air, and refraction bends the beam.
 
     Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
@@ -33,7 +33,7 @@ class AirGradient(WarmAir):
     sensor: Literal["room", "head"] = "room"
 
     name = "air-gradient"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     covariates = ("height", "distance")
     parameters = (Parameter("air-gradient", "K/m", "rise of the temperature with the height", 1.0),)
 
@@ -45,14 +45,14 @@ class AirGradient(WarmAir):
     def _sensor_height(self, sightings: Sightings) -> Floats:
         """Height (n,) [m] of the weather sensor, for which the temperature used is correct."""
         if self.sensor == "head":
-            return sightings.position[sightings.station, 2]
-        return np.full(len(sightings), float(sightings.points[:, 2].mean()))
+            return sightings.station_positions[sightings.station, 2]
+        return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
-        steep = bending() * self.mask(sightings) * sightings.range_
-        heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
-        _, across, up = sightings.unit_vectors
-        column = on_readings(
+        steep = relative_index_change_per_kelvin() * self.row_weights(sightings) * sightings.range_
+        heights = sightings.station_positions[sightings.station, 2] + sightings.target_points[sightings.target, 2]
+        _, across, up = sightings.beam_vectors
+        column = design_from_front_face_corrections(
             sightings,
             distance=steep * (0.5 * heights - self._sensor_height(sightings)),
             azimuth=-0.5 * steep * across[:, 2] / np.cos(sightings.elevation),
@@ -60,7 +60,7 @@ class AirGradient(WarmAir):
         )
         return column[:, :, None]
 
-    def field(self, sightings: Sightings) -> AirField:
+    def field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field with a gradient of 1 K/m."""
         bottom = self._sensor_height(sightings)
 

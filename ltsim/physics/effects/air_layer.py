@@ -4,21 +4,23 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
-from ltsim.physics.effects.rays import AirField, WarmAir
+from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter
+from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
-HEIGHTS = 7
-WIDTHS = (0.15, 0.5)
+N_HEIGHTS = 7
+"""Number of layer heights that a search tries, between the lowest and the highest point of the network."""
+LAYER_WIDTHS = (0.15, 0.5)
+"""Widths [m] of the transition between the two temperatures that a search tries."""
 
 
-def _ends(sightings: Sightings) -> Floats:
+def _point_heights(sightings: Sightings) -> Floats:
     """Heights (T + S,) [m] of all targets and stations in the network frame."""
-    return np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
+    return np.concatenate([sightings.target_points[:, 2], sightings.station_positions[:, 2]])
 
 
 @dataclass(frozen=True)
-class AirLayer(WarmAir):
+class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
     T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the
@@ -39,25 +41,27 @@ class AirLayer(WarmAir):
     width: float = 0.3
 
     name = "air-layer"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     covariates = ("height",)
     parameters = (Parameter("layer-step", "K", "temperature difference of the layer to the air below", 4.0),)
-    shape = (
-        ShapeParameter("height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, steps=41),
-        ShapeParameter("width", "m", "width of the step", 0.05, 1.5, logarithmic=True, steps=3),
+    shape_parameters = (
+        ShapeParameter(
+            "height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, n_grid_values=41
+        ),
+        ShapeParameter("width", "m", "width of the step", 0.05, 1.5, has_logarithmic_grid=True, n_grid_values=3),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates with heights between the lowest and the highest target or station."""
-        heights = np.linspace(0.0, float(np.ptp(_ends(sightings))), HEIGHTS + 2)[1:-1]
-        return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
+        heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_HEIGHTS + 2)[1:-1]
+        return [cls(height=float(z), width=w) for z in heights for w in LAYER_WIDTHS]
 
-    def field(self, sightings: Sightings) -> AirField:
+    def field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field with a step of 1 K above the lowest target or station."""
         from scipy.special import expit
 
-        floor = float(_ends(sightings).min(initial=np.inf))
+        floor = float(_point_heights(sightings).min(initial=np.inf))
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)

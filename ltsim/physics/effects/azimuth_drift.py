@@ -1,5 +1,5 @@
-from ltsim.core.units import FACTOR, MICRORADIAN
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
 
@@ -19,12 +19,14 @@ class AzimuthDrift(Drift):
     """
 
     name = "azimuth-drift"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     slot = "azimuth"
-    rate = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN)
-    parameters = (rate,)
+    rate_parameter = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * SI_PER_UNIT["urad/h"])
+    amplitude_parameter = Parameter(
+        "azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN
+    )
+    parameters = (rate_parameter,)
 
-    laws = ("visit",)
-    alone = True
+    linear_laws = ("visit",)
+    tries_single_stations = True

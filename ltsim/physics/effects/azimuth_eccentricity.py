@@ -1,6 +1,6 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.circles import lobes, waves
-from ltsim.physics.effects.effect import SlotEffect, Stage
+from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
+from ltsim.physics.effects.effect import LightPathStage, SlotEffect
 
 
 class AzimuthEccentricity(SlotEffect):
@@ -19,7 +19,7 @@ class AzimuthEccentricity(SlotEffect):
     """
 
     name = "azimuth-eccentricity"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
-    parameters = lobes("azimuth-eccentricity", "the raw azimuth", 3 * ARCSECOND, "angle")
-    terms = waves("azimuth", 1)
+    parameters = cos_sin_parameters("azimuth-eccentricity", "the raw azimuth", 3 * ARCSECOND, "angle")
+    terms = cos_sin_terms("azimuth", 1)

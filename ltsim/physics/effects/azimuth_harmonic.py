@@ -1,9 +1,9 @@
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.circles import Harmonic, lobes
-from ltsim.physics.effects.effect import Stage
+from ltsim.physics.effects.circles import CircleHarmonic, cos_sin_parameters
+from ltsim.physics.effects.effect import LightPathStage
 
 
-class AzimuthHarmonic(Harmonic):
+class AzimuthHarmonic(CircleHarmonic):
     """Higher graduation harmonic of the azimuth circle: errors of the scale as averaged by its read heads.
 
     Delta_azimuth = A cos(m x) + B sin(m x), x the raw azimuth, m from 3 up. Odd m flips with the face, even m does not;
@@ -19,7 +19,7 @@ class AzimuthHarmonic(Harmonic):
     """
 
     name = "azimuth-harmonic"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     covariates = ("azimuth",)
-    parameters = lobes("azimuth-harmonic", "`order` times the raw azimuth", 2 * MICRORADIAN)
+    parameters = cos_sin_parameters("azimuth-harmonic", "`order` times the raw azimuth", 2 * MICRORADIAN)

@@ -2,7 +2,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 
@@ -22,7 +22,7 @@ class Backlash(Effect):
     """
 
     name = "backlash"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     observables = ("azimuth", "elevation")
     covariates = ("approach",)
     parameters = (
@@ -31,6 +31,6 @@ class Backlash(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        half = -0.5 * sightings.approach * self.mask(sightings)[:, None]
+        half = -0.5 * sightings.approach_signs * self.row_weights(sightings)[:, None]
         columns = [sightings.slot_responses[slot] * half[:, [i]] for i, slot in enumerate(("azimuth", "elevation"))]
         return np.stack(columns, axis=2)

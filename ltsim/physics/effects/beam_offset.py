@@ -1,5 +1,5 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class BeamOffset(SlotEffect):
@@ -18,7 +18,7 @@ class BeamOffset(SlotEffect):
     """
 
     name = "beam-offset"
-    stage = Stage.OPTICS
+    stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     parameters = (
         Parameter(
@@ -26,4 +26,4 @@ class BeamOffset(SlotEffect):
         ),
         Parameter("beam-offset-vertical", "um", "beam above the centre", 20 * MICROMETRE, "offset"),
     )
-    terms = (Term("beam-lateral"), Term("beam-vertical"))
+    terms = (SlotTerm("beam-lateral"), SlotTerm("beam-vertical"))

@@ -1,5 +1,5 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class BeamTilt(SlotEffect):
@@ -19,9 +19,9 @@ class BeamTilt(SlotEffect):
     """
 
     name = "beam-tilt"
-    stage = Stage.OPTICS
+    stage = LightPathStage.OPTICS
     observables = ("azimuth",)
     parameters = (
         Parameter("beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"),
     )
-    terms = (Term("beam-tilt"),)
+    terms = (SlotTerm("beam-tilt"),)

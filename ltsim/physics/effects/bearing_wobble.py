@@ -5,14 +5,16 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
-Motion = Literal["tilt", "radial", "transit"]
+BearingMotion = Literal["tilt", "radial", "transit"]
+"""Kind of motion of a bearing: tilt or run-out of the standing axis, tilt of the transit axis."""
 
 
-SLOTS = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
-TRIED: tuple[tuple[Motion, int], ...] = (
+SLOTS_BY_MOTION = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
+"""Slots of the kinematic chain that each motion changes, for cosine and sine."""
+CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),
     ("tilt", 3),
@@ -20,6 +22,7 @@ TRIED: tuple[tuple[Motion, int], ...] = (
     ("radial", 3),
     ("transit", 2),
 )
+"""Motions and orders that a search tries."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,13 @@ class BearingWobble(Effect):
     Status: validated against the exact rotation of the base and against finite differences of the chain.
     """
 
-    kind: Motion = "tilt"
+    kind: BearingMotion = "tilt"
+    """Kind of motion of the bearing."""
     order: int = 2
+    """Periods of the motion per turn."""
 
     name = "bearing-wobble"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (
         Parameter("wobble-cos", "urad", "tilt, cosine part: cos(n x), and sin(n x) across", 4 * MICRORADIAN),
@@ -71,14 +76,14 @@ class BearingWobble(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for all motions that are neither a station tilt nor another effect."""
-        return [cls(kind=kind, order=order) for kind, order in TRIED]
+        return [cls(kind=kind, order=order) for kind, order in CANDIDATE_MOTIONS]
 
     def design(self, sightings: Sightings) -> Floats:
-        acts, response = self.mask(sightings)[:, None], sightings.slot_responses
-        phase = self.order * sightings.read[:, 2 if self.kind == "transit" else 1]
+        acts, response = self.row_weights(sightings)[:, None], sightings.slot_responses
+        phase = self.order * sightings.instrument_readings[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":
             yaw = response["beam-tilt"]
             return np.stack([acts * c * yaw, acts * s * yaw], axis=2)
-        x, y = (response[slot] for slot in SLOTS[self.kind])
+        x, y = (response[slot] for slot in SLOTS_BY_MOTION[self.kind])
         return np.stack([acts * (c * x + s * y), acts * (c * y - s * x)], axis=2)

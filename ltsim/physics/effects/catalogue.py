@@ -8,7 +8,7 @@ A package adds effects by entry points of the group `ltsim.effects`, each naming
 Packages are searched when the catalogue is first read beyond the built-in effects, not when ltsim is imported.
 
 A card is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause; then
-come the law, with its sign, and a paragraph for each of `PARTS`.
+come the law, with its sign, and a paragraph for each of `CARD_SECTIONS`.
 """
 
 import inspect
@@ -21,83 +21,89 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Self
 
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.units import FACTOR
-from ltsim.physics.effects.effect import Effect, Stage
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.physics.effects.effect import Effect, LightPathStage
 
-GROUP = "ltsim.effects"
-SHIPPED = "ltsim"
-SESSION = "this session"
-ADDED = "installed"
-"""Group of the effects from installed packages."""
-NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-PARTS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
+ENTRY_POINT_GROUP = "ltsim.effects"
+"""Group of entry points with which an installed package provides effects."""
+BUILTIN_ORIGIN = "ltsim"
+"""Origin that the catalogue states for built-in effects."""
+SESSION_ORIGIN = "this session"
+"""Origin that the catalogue states for effects that were registered in the running session."""
+PACKAGE_EFFECTS_GROUP = "installed"
+"""Heading in the catalogue of the effects that installed packages provide."""
+EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+"""Permitted names of effects: lower-case words, joined by hyphens."""
+CARD_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
 """Parts of a catalogue entry: sizes in a good and in a bad instrument or room; effects that leave similar residuals,
 with two correlations of the residuals in the reference workshop, one face and two faces; the measurement that
 distinguishes it from these; domain in which the law holds; literature; how the law was validated.
 """
-_PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
+_SECTION_START = re.compile(rf"^({'|'.join(CARD_SECTIONS)}): ", re.MULTILINE)
+"""Start of a section of a catalogue entry: its name and a colon."""
 
 
 @dataclass(frozen=True)
-class Card:
-    """Catalogue entry of a physical cause."""
+class CatalogueEntry:
+    """Catalogue entry of an effect: its physical cause, its equation, and further sections of text."""
 
     title: str
-    cause: str
-    """Name (`title`) and description (`cause`) of the physical cause."""
-    law: str
+    """Name of the physical cause."""
+    cause_description: str
+    """Description of the physical cause."""
+    equation: str
     """Equation of the effect with its sign, line by line as in the docstring."""
-    texts: tuple[str, ...]
-    """Texts of the sections in `PARTS`, in that order."""
+    section_texts: tuple[str, ...]
+    """Texts of the sections in `CARD_SECTIONS`, in that order."""
 
     @classmethod
-    def read(cls, text: str) -> Self:
+    def from_docstring(cls, docstring: str) -> Self:
         """Card parsed from a docstring.
 
         Raises ModelError that names a part that is missing, repeated or out of order.
         """
-        head, _, rest = inspect.cleandoc(text).partition("\n\n")
+        head, _, rest = inspect.cleandoc(docstring).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
             raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
-        pieces = _PART.split(rest)
-        if tuple(pieces[1::2]) != PARTS:
+        pieces = _SECTION_START.split(rest)
+        if tuple(pieces[1::2]) != CARD_SECTIONS:
             pieces_in_bold = ", ".join(pieces[1::2]) or "none"
-            raise ModelError(f"a card has the parts {', '.join(PARTS)} in this order, found {pieces_in_bold}")
+            raise ModelError(f"a card has the parts {', '.join(CARD_SECTIONS)} in this order, found {pieces_in_bold}")
         law, *sections = (piece.strip() for piece in pieces[::2])
-        for name, part in zip(("law", *PARTS), (law, *sections), strict=True):
+        for name, part in zip(("law", *CARD_SECTIONS), (law, *sections), strict=True):
             if not part:
                 raise ModelError(f"the part {name} of a card is empty")
         return cls(title, cause, law, tuple(" ".join(part.split()) for part in sections))
 
-    def parts(self) -> tuple[tuple[str, str], ...]:
+    def sections(self) -> tuple[tuple[str, str], ...]:
         """Pairs (name, text) of the parts after the law."""
-        return tuple(zip(PARTS, self.texts, strict=True))
+        return tuple(zip(CARD_SECTIONS, self.section_texts, strict=True))
 
 
 @cache
-def card_of(kind: type) -> Card:
+def catalogue_entry(effect_class: type) -> CatalogueEntry:
     """Card of an effect class; raises ModelError if neither the class nor its module has a complete one."""
-    doc = kind.__dict__.get("__doc__") or ""
-    text = doc if _PART.search(inspect.cleandoc(doc)) else sys.modules[kind.__module__].__doc__
+    doc = effect_class.__dict__.get("__doc__") or ""
+    text = doc if _SECTION_START.search(inspect.cleandoc(doc)) else sys.modules[effect_class.__module__].__doc__
     try:
-        return Card.read(text or "")
+        return CatalogueEntry.from_docstring(text or "")
     except ModelError as problem:
-        raise ModelError(f"{kind.__module__}.{kind.__name__}: {problem}") from None
+        raise ModelError(f"{effect_class.__module__}.{effect_class.__name__}: {problem}") from None
 
 
 @dataclass(frozen=True)
-class Listed:
-    """Effect of the catalogue with its group and the package that provides it."""
+class ListedEffect:
+    """Effect class with its group in the catalogue and the package that provides it."""
 
-    kind: type[Effect]
+    effect_class: type[Effect]
     group: str
-    origin: str
+    provider: str
 
 
-def installed() -> list[EntryPoint]:
+def installed_entry_points() -> list[EntryPoint]:
     """Entry points that provide effects; a package that occurs twice on the path counts once."""
-    points = {(_package(point), point.name, point.value): point for point in entry_points(group=GROUP)}
+    points = {(_package_name(point), point.name, point.value): point for point in entry_points(group=ENTRY_POINT_GROUP)}
     return [points[key] for key in sorted(points)]
 
 
@@ -110,98 +116,112 @@ class Catalogue(Sequence[type[Effect]]):
     def __init__(
         self,
         shipped: Mapping[str, tuple[type[Effect], ...]],
-        points: Callable[[], Iterable[EntryPoint]] = installed,
+        points: Callable[[], Iterable[EntryPoint]] = installed_entry_points,
     ) -> None:
-        self._points = points
-        self._shipped = {kind.name: Listed(kind, group, SHIPPED) for group, kinds in shipped.items() for kind in kinds}
+        self._entry_points = points
+        self._builtin_effects = {
+            kind.name: ListedEffect(kind, group, BUILTIN_ORIGIN) for group, kinds in shipped.items() for kind in kinds
+        }
 
     @cached_property
-    def entries(self) -> Mapping[str, Listed]:
+    def entries(self) -> Mapping[str, ListedEffect]:
         """All effects by name; raises ModelError, with package and reason, for an unusable effect of a package."""
-        added: dict[str, Listed] = {}
-        for point in self._points():
-            entry = _loaded(point)
-            earlier = (self._shipped | added).get(entry.kind.name)
+        added: dict[str, ListedEffect] = {}
+        for point in self._entry_points():
+            entry = _load_effect_class(point)
+            earlier = (self._builtin_effects | added).get(entry.effect_class.name)
             if earlier is not None:
-                raise _refused(point, f"{earlier.origin} has an effect '{entry.kind.name}' already")
-            added[entry.kind.name] = entry
-        return self._shipped | {name: added[name] for name in sorted(added)}
+                raise _refusal(point, f"{earlier.provider} has an effect '{entry.effect_class.name}' already")
+            added[entry.effect_class.name] = entry
+        return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
-    def add(self, kind: type[Effect]) -> type[Effect]:
+    def add(self, effect_class: type[Effect]) -> type[Effect]:
         """Registration of an effect class for this session; it replaces an earlier one of the same name.
 
         A class without a card gets an empty one. Raises ModelError if the class is no valid effect.
         """
-        if why := fault_of(kind):
-            raise ModelError(f"{kind!r} cannot be an effect: {why}")
-        earlier = self.entries.get(kind.name)
-        if earlier is not None and earlier.group != SESSION:
-            raise ModelError(f"{earlier.origin} has an effect '{kind.name}' already: take another name")
+        if why := interface_fault(effect_class):
+            raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
+        earlier = self.entries.get(effect_class.name)
+        if earlier is not None and earlier.group != SESSION_ORIGIN:
+            raise ModelError(f"{earlier.provider} has an effect '{effect_class.name}' already: take another name")
         try:
-            card_of(kind)
+            catalogue_entry(effect_class)
         except ModelError:
-            title = kind.name.replace("-", " ").capitalize()
-            parts = "\n\n".join(f"{part}: not given." for part in PARTS)
-            kind.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
-        self.__dict__["entries"] = {**self.entries, kind.name: Listed(kind, SESSION, SESSION)}
-        return kind
+            title = effect_class.name.replace("-", " ").capitalize()
+            parts = "\n\n".join(f"{part}: not given." for part in CARD_SECTIONS)
+            effect_class.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
+        self.__dict__["entries"] = {
+            **self.entries,
+            effect_class.name: ListedEffect(effect_class, SESSION_ORIGIN, SESSION_ORIGIN),
+        }
+        return effect_class
 
     @property
-    def of_session(self) -> tuple[type[Effect], ...]:
+    def session_effects(self) -> tuple[type[Effect], ...]:
         """Effect classes that were registered in this session; other processes do not have them."""
-        return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
+        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_ORIGIN)
 
     def find(self, name: str) -> type[Effect]:
         """Class of the effect `name`; raises ModelError with the most similar names for an unknown one."""
-        entry = self._shipped.get(name) or self.entries.get(name)
+        entry = self._builtin_effects.get(name) or self.entries.get(name)
         if entry is None:
             raise unknown_name("effect", name, self.entries)
-        return entry.kind
+        return entry.effect_class
 
     def __len__(self) -> int:
         return len(self.entries)
 
     def __iter__(self) -> Iterator[type[Effect]]:
-        return (entry.kind for entry in self.entries.values())
+        return (entry.effect_class for entry in self.entries.values())
 
     def __getitem__(self, index: Any) -> Any:
         return tuple(self)[index]
 
 
-def _package(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "an unknown package"
+def _package_name(entry_point: EntryPoint) -> str:
+    return (
+        f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist is not None else "an unknown package"
+    )
 
 
-def _refused(point: EntryPoint, why: str) -> ModelError:
-    place = f"{point.value} of {_package(point)}"
-    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; repair or uninstall that package")
+def _refusal(entry_point: EntryPoint, reason: str) -> ModelError:
+    place = f"{entry_point.value} of {_package_name(entry_point)}"
+    return ModelError(
+        f"the effect '{entry_point.name}' ({place}) cannot be used: {reason}; repair or uninstall that package"
+    )
 
 
-def _loaded(point: EntryPoint) -> Listed:
+def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
     try:
-        kind = point.load()
+        kind = entry_point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
-        raise _refused(point, f"{type(problem).__name__}: {problem}") from problem
-    if why := fault_of(kind):
-        raise _refused(point, why)
+        raise _refusal(entry_point, f"{type(problem).__name__}: {problem}") from problem
+    if why := interface_fault(kind):
+        raise _refusal(entry_point, why)
     try:
-        card_of(kind)
+        catalogue_entry(kind)
     except ModelError as problem:
-        raise _refused(point, str(problem)) from None
-    return Listed(kind, ADDED, _package(point))
+        raise _refusal(entry_point, str(problem)) from None
+    return ListedEffect(kind, PACKAGE_EFFECTS_GROUP, _package_name(entry_point))
 
 
-def fault_of(kind: object) -> str:
+def interface_fault(effect_class: object) -> str:
     """Reason why a class is no valid effect; empty for a valid one."""
-    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+    if not (isinstance(effect_class, type) and issubclass(effect_class, Effect)):
         return "it is not a class derived from lt.Effect"
-    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+    if lacking := sorted(getattr(effect_class, "__abstractmethods__", ())):
         return f"its class lacks {', '.join(lacking)}"
-    if not NAME.fullmatch(getattr(kind, "name", "")) or kind.name == "unknown":
-        return f"its name '{getattr(kind, 'name', '')}' should be lower-case words joined by '-'"
-    if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
+    if not EFFECT_NAME_PATTERN.fullmatch(getattr(effect_class, "name", "")) or effect_class.name == "unknown":
+        return f"its name '{getattr(effect_class, 'name', '')}' should be lower-case words joined by '-'"
+    if not isinstance(getattr(effect_class, "stage", None), LightPathStage) or not effect_class.parameters:
         return "its class lacks a stage or parameters"
-    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
+    units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}
     return next(
-        (f"the unit '{u}' of {name} is not in {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+        (
+            f"the unit '{u}' of {name} is not in {', '.join(SI_PER_UNIT)}"
+            for name, u in units.items()
+            if u not in SI_PER_UNIT
+        ),
+        "",
     )

@@ -12,8 +12,11 @@ import numpy as np
 from ltsim.core.arrays import Floats
 
 GAS_CONSTANT = 8.314472
-WATER_MASS = 0.018015
-HELIUM_NEON = 633e-9
+"""Molar gas constant [J/(mol K)], as in Ciddor (1996)."""
+WATER_MOLAR_MASS = 0.018015
+"""Molar mass of water [kg/mol]."""
+HELIUM_NEON_WAVELENGTH = 633e-9
+"""Vacuum wavelength of the helium-neon laser [m]."""
 
 
 def vapour_pressure(temperature: Floats) -> Floats:
@@ -26,12 +29,16 @@ def vapour_pressure(temperature: Floats) -> Floats:
     return 1e6 * (2 * c / (-b + np.sqrt(b**2 - 4 * a * c))) ** 4
 
 
-def _compressibility(temperature: Floats, pressure: float, share: Floats) -> Floats:
+def _compressibility(temperature: Floats, pressure: float, water_mole_fraction: Floats) -> Floats:
     kelvin = temperature + 273.15
     linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
-    linear = linear + (5.707e-6 - 2.051e-8 * temperature) * share + (1.9898e-4 - 2.376e-6 * temperature) * share**2
+    linear = (
+        linear
+        + (5.707e-6 - 2.051e-8 * temperature) * water_mole_fraction
+        + (1.9898e-4 - 2.376e-6 * temperature) * water_mole_fraction**2
+    )
     ratio = pressure / kelvin
-    return 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * share**2)
+    return 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * water_mole_fraction**2)
 
 
 def refractivity(
@@ -39,7 +46,7 @@ def refractivity(
     *,
     pressure: float = 101_325.0,
     humidity: float = 50.0,
-    wavelength: float = HELIUM_NEON,
+    wavelength: float = HELIUM_NEON_WAVELENGTH,
 ) -> Floats:
     """Phase index of air with 450 umol/mol of carbon dioxide, less one.
 
@@ -65,9 +72,9 @@ def refractivity(
         return p / (_compressibility(t, p, x) * GAS_CONSTANT * (t + 273.15))
 
     standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
-    saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MASS
+    saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MOLAR_MASS
     air = density(temperature, pressure, share)
-    return air * ((1.0 - share) * mass / standard * dry + share * WATER_MASS / saturated * vapour)
+    return air * ((1.0 - share) * mass / standard * dry + share * WATER_MOLAR_MASS / saturated * vapour)
 
 
 @lru_cache

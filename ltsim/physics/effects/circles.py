@@ -3,35 +3,45 @@
 from dataclasses import dataclass
 from typing import Self
 
-from ltsim.physics.effects.effect import Lobe, Parameter, PriorKind, SlotEffect, Term
+from ltsim.physics.effects.effect import HarmonicBasis, Parameter, PriorKind, SlotEffect, SlotTerm
 from ltsim.scene.sightings import Sightings
 
-ORDERS = range(3, 9)
-COLUMN = {"azimuth": 1, "elevation": 2}
+CANDIDATE_ORDERS = range(3, 9)
+"""Orders of harmonics that a search tries, in periods per turn."""
+READING_COLUMN = {"azimuth": 1, "elevation": 2}
+"""Column of a circle's angle in the array of readings."""
 
 
-def lobes(name: str, of: str, size: float, kind: PriorKind | None = None) -> tuple[Parameter, ...]:
+def cos_sin_parameters(
+    name_stem: str, angle_text: str, prior_sigma: float, prior_kind: PriorKind | None = None
+) -> tuple[Parameter, ...]:
     """Parameters of the cosine and sine amplitudes of an angle."""
     waves = ("cosine", "sine")
-    return tuple(Parameter(f"{name}-{wave[:3]}", "urad", f"{wave} of {of}", size, kind) for wave in waves)
+    return tuple(
+        Parameter(f"{name_stem}-{wave[:3]}", "urad", f"{wave} of {angle_text}", prior_sigma, prior_kind)
+        for wave in waves
+    )
 
 
-def waves(circle: str, order: int) -> tuple[Term, Term]:
+def cos_sin_terms(circle: str, order: int) -> tuple[SlotTerm, SlotTerm]:
     """Terms with cosine and sine of a multiple of a circle's raw reading, as corrections of that reading."""
-    return Term(circle, Lobe("cos", COLUMN[circle], order)), Term(circle, Lobe("sin", COLUMN[circle], order))
+    return SlotTerm(circle, HarmonicBasis("cos", READING_COLUMN[circle], order)), SlotTerm(
+        circle, HarmonicBasis("sin", READING_COLUMN[circle], order)
+    )
 
 
 @dataclass(frozen=True)
-class Harmonic(SlotEffect):
+class CircleHarmonic(SlotEffect):
     """Graduation harmonic of `order` of one circle."""
 
     order: int = 3
+    """Periods per turn of the circle."""
 
     @property
-    def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
-        return waves(self.observables[0], self.order)
+    def terms(self) -> tuple[SlotTerm, ...]:  # type: ignore[override]
+        return cos_sin_terms(self.observables[0], self.order)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every order that the data can distinguish."""
-        return [cls(order=m) for m in ORDERS]
+        return [cls(order=m) for m in CANDIDATE_ORDERS]

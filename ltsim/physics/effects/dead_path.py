@@ -4,11 +4,12 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
-COLUMN = "air_temperature_c"
-STEADY = 0.05
+TEMPERATURE_COLUMN = "air_temperature_c"
+"""Column of a recording with the air temperature [C] of each pointing."""
+MIN_TEMPERATURE_RANGE = 0.05
 """Smallest range of temperatures [K] from which the effect can be estimated."""
 
 
@@ -27,7 +28,7 @@ class DeadPath(Effect):
     """
 
     name = "dead-path"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
     parameters = (Parameter("dead-path", "um/K", "length missing from every range per kelvin", 3 * MICROMETRE),)
@@ -35,17 +36,17 @@ class DeadPath(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidate of the effect if the temperature varies; none otherwise."""
-        temperature = sightings.covariates.get(COLUMN)
+        temperature = sightings.covariates.get(TEMPERATURE_COLUMN)
         varies = (
             temperature is not None
             and np.isfinite(temperature).any()
-            and np.nanmax(temperature) - np.nanmin(temperature) > STEADY
+            and np.nanmax(temperature) - np.nanmin(temperature) > MIN_TEMPERATURE_RANGE
         )
         return [cls()] if varies else []
 
     def design(self, sightings: Sightings) -> Floats:
-        temperature = sightings.covariates.get(COLUMN, np.full(len(sightings), np.nan))
-        ordered = temperature[sightings.order]
+        temperature = sightings.covariates.get(TEMPERATURE_COLUMN, np.full(len(sightings), np.nan))
+        ordered = temperature[sightings.measurement_order]
         measured = ordered[np.isfinite(ordered)]
         warmer = np.nan_to_num(temperature - (measured[0] if len(measured) else 0.0))
-        return on_readings(sightings, distance=self.mask(sightings) * warmer)[:, :, None]
+        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * warmer)[:, :, None]

@@ -2,11 +2,11 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
-def half(raw: Floats) -> Floats:
-    """Beam deviation per offset of the return spot, 0.5."""
+def beam_deviation_basis(raw: Floats) -> Floats:
+    """Basis with the constant value 0.5: deviation of the beam per offset of the return spot."""
     return np.full(len(raw), 0.5)
 
 
@@ -24,11 +24,11 @@ class DetectorOffset(SlotEffect):
     """
 
     name = "detector-offset"
-    stage = Stage.OPTICS
+    stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     covariates = ("distance",)
     parameters = (
         Parameter("detector-offset-lateral", "um", "null offset along the transit axis", 20 * MICROMETRE),
         Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
     )
-    terms = (Term("beam-lateral", half), Term("beam-vertical", half))
+    terms = (SlotTerm("beam-lateral", beam_deviation_basis), SlotTerm("beam-vertical", beam_deviation_basis))

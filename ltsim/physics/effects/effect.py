@@ -28,22 +28,24 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import (
+    CandidateEffect,
     NoiseSignature,
     Parameter as Parameter,
     PriorKind as PriorKind,
     ShapeParameter as ShapeParameter,
     Signature as Signature,
-    Tunable,
-    along_axes as along_axes,
-    by_displacement as by_displacement,
-    on_readings as on_readings,
+    axis_parameters as axis_parameters,
+    design_from_displacements as design_from_displacements,
+    design_from_front_face_corrections as design_from_front_face_corrections,
 )
 from ltsim.scene.sightings import Sightings
 
-Scope = Literal["all", "station", "target", "pointing", "reading"]
+PlaceScope = Literal["all", "station", "target", "pointing", "reading"]
+"""Kind of place at which candidates of an effect act: everywhere, or at single stations, targets, pointings or
+readings."""
 
 
-class Stage(IntEnum):
+class LightPathStage(IntEnum):
     """Stage of the light path at which an effect acts; the simulator applies effects in this order."""
 
     TARGET = 0
@@ -58,27 +60,29 @@ class Stage(IntEnum):
 
 
 @dataclass(frozen=True)
-class Effect(Tunable):
+class Effect(CandidateEffect):
     """Base class of all effects; the module docstring describes its interface."""
 
     stations: tuple[str, ...] = ()
+    """Names of the stations at which the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Names of the targets at which the effect acts; empty for all."""
     coarse: float = field(default=1.0, kw_only=True)
     """Factor on the plausible size for instruments that are coarser than a laser tracker."""
 
     name: ClassVar[str]
-    stage: ClassVar[Stage]
+    stage: ClassVar[LightPathStage]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
     covariates: ClassVar[tuple[str, ...]] = ()
-    scope: ClassVar[Scope] = "all"
-    plural: ClassVar[bool] = False
+    scope: ClassVar[PlaceScope] = "all"
+    may_recur: ClassVar[bool] = False
     """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
 
     @property
-    def spread(self) -> Floats:
+    def size_scales(self) -> Floats:
         """Plausible sizes (p,) of the parameters [SI]."""
-        return self.coarse * super().spread
+        return self.coarse * super().size_scales
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
@@ -92,7 +96,7 @@ class Effect(Tunable):
             places = [{"stations": (name,)} for name in sightings.station_names]
         elif cls.scope == "target":
             places = [{"targets": (name,)} for name in sightings.target_names]
-        grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape]
+        grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape_parameters]
         shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
         return [cls(**place, **shape) for place in places for shape in shapes]
 
@@ -103,72 +107,77 @@ class NoiseEffect(NoiseSignature, Effect):
 
 
 @dataclass(frozen=True)
-class Mistake(Effect):
+class Blunder(Effect):
     """Base class of blunders: another point was measured, or a finished reading was recorded wrongly.
 
-    The simulator reproduces the wrong action (`done`, `written`), so that instrument errors and noise belong to the
-    actual measurement; `design` is the change of an ideal reading. A blunder of this size is corrected before an
+    The simulator reproduces the wrong action (`measured_sightings`, `recorded_readings`), so that instrument errors and
+    noise belong to the actual measurement; `design` is the change of an ideal reading. A blunder of this size is
+    corrected before an
     adjustment, so that a search has no candidates.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for a search: none, since `possible` lists the blunders."""
+        """Candidates for a search: none, since `possible_blunders` lists the blunders."""
         return []
 
     @classmethod
-    def possible(cls, sightings: Sightings) -> list[Self]:
+    def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """All blunders of this kind that are possible in a network."""
         raise NotImplementedError
 
-    def done(self, sightings: Sightings) -> Sightings:
+    def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings that were actually measured."""
         return sightings
 
-    def written(self, sightings: Sightings, readings: Floats) -> Floats:
+    def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) as recorded, from finished readings (n, 3)."""
         return readings
 
 
-Basis = Callable[[Floats], Floats]
+BasisFunction = Callable[[Floats], Floats]
+"""Function of the raw readings (n, 3) that multiplies a parameter, with values (n,)."""
 
 
-def unity(raw: Floats) -> Floats:
+def constant_basis(raw: Floats) -> Floats:
     """Constant basis, 1 for every reading."""
     return np.ones(len(raw))
 
 
 @dataclass(frozen=True)
-class Lobe:
-    """Basis function cosine or sine of a multiple of a raw reading (1 azimuth, 2 elevation)."""
+class HarmonicBasis:
+    """Basis function: cosine or sine of a multiple of the azimuth or elevation reading."""
 
-    wave: Literal["cos", "sin"]
-    column: int
+    function: Literal["cos", "sin"]
+    reading_column: int
     order: float = 1
+    """Multiple of the reading."""
 
     def __call__(self, raw: Floats) -> Floats:
         """Values (n,) of the basis at raw readings (n, 3)."""
-        angle: Floats = self.order * raw[:, self.column]
-        return np.cos(angle) if self.wave == "cos" else np.sin(angle)
+        angle: Floats = self.order * raw[:, self.reading_column]
+        return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
 
 @dataclass(frozen=True)
-class Power:
-    """Basis function power of the range."""
+class RangePowerBasis:
+    """Basis function: a power of the range."""
 
-    order: int = 1
+    exponent: int = 1
 
     def __call__(self, raw: Floats) -> Floats:
         """Values (n,) of the basis at raw readings (n, 3)."""
-        return raw[:, 0] ** self.order
+        return raw[:, 0] ** self.exponent
 
 
 @dataclass(frozen=True)
-class Term:
-    """Contribution of a parameter to a slot of a kinematic chain: ``error[slot] += value * basis(raw)``."""
+class SlotTerm:
+    """Term of a geometric error: a parameter times a basis function, added to a slot of the kinematic chain."""
 
     slot: str
-    basis: Basis = unity
+    """Name of the slot of the kinematic chain."""
+    basis: BasisFunction = constant_basis
+    """Function of the raw readings that multiplies the parameter."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +187,12 @@ class SlotEffect(Effect):
     The construction evaluates the error exactly; `design` is its first-order form.
     """
 
-    terms: ClassVar[tuple[Term, ...]]
+    terms: ClassVar[tuple[SlotTerm, ...]]
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.mask(sightings)
-        columns = [sightings.slot_responses[t.slot] * (acts * t.basis(sightings.read))[:, None] for t in self.terms]
+        acts = self.row_weights(sightings)
+        columns = [
+            sightings.slot_responses[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            for t in self.terms
+        ]
         return np.stack(columns, axis=2)

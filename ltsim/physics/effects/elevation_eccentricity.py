@@ -1,6 +1,6 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.circles import lobes, waves
-from ltsim.physics.effects.effect import SlotEffect, Stage
+from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
+from ltsim.physics.effects.effect import LightPathStage, SlotEffect
 
 
 class ElevationEccentricity(SlotEffect):
@@ -19,7 +19,7 @@ class ElevationEccentricity(SlotEffect):
     """
 
     name = "elevation-eccentricity"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("elevation",)
-    parameters = lobes("elevation-eccentricity", "the raw elevation", 3 * ARCSECOND, "angle")
-    terms = waves("elevation", 1)
+    parameters = cos_sin_parameters("elevation-eccentricity", "the raw elevation", 3 * ARCSECOND, "angle")
+    terms = cos_sin_terms("elevation", 1)

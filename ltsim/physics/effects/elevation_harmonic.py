@@ -1,9 +1,9 @@
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.circles import Harmonic, lobes
-from ltsim.physics.effects.effect import Stage
+from ltsim.physics.effects.circles import CircleHarmonic, cos_sin_parameters
+from ltsim.physics.effects.effect import LightPathStage
 
 
-class ElevationHarmonic(Harmonic):
+class ElevationHarmonic(CircleHarmonic):
     """Higher graduation harmonic of the elevation circle: errors of the scale as averaged by its read heads.
 
     Delta_elevation = A cos(m x) + B sin(m x), x the raw elevation, m from 3 up. In front-face terms the cosine flips
@@ -19,7 +19,7 @@ class ElevationHarmonic(Harmonic):
     """
 
     name = "elevation-harmonic"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     covariates = ("elevation",)
-    parameters = lobes("elevation-harmonic", "`order` times the raw elevation", 2 * MICRORADIAN)
+    parameters = cos_sin_parameters("elevation-harmonic", "`order` times the raw elevation", 2 * MICRORADIAN)

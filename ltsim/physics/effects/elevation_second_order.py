@@ -1,6 +1,6 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.circles import lobes, waves
-from ltsim.physics.effects.effect import SlotEffect, Stage
+from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
+from ltsim.physics.effects.effect import LightPathStage, SlotEffect
 
 
 class ElevationSecondOrder(SlotEffect):
@@ -18,7 +18,7 @@ class ElevationSecondOrder(SlotEffect):
     """
 
     name = "elevation-second-order"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("elevation",)
-    parameters = lobes("elevation-second-order", "twice the raw elevation", 3 * ARCSECOND, "angle")
-    terms = waves("elevation", 2)
+    parameters = cos_sin_parameters("elevation-second-order", "twice the raw elevation", 3 * ARCSECOND, "angle")
+    terms = cos_sin_terms("elevation", 2)

@@ -2,11 +2,28 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.circles import lobes, waves
-from ltsim.physics.effects.effect import SlotEffect, Stage, Term
+from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
+from ltsim.physics.effects.effect import LightPathStage, SlotEffect, SlotTerm
 from ltsim.scene.sightings import Sightings
 
-COUNTS = (256, 360, 512, 720, 1024, 2048, 3600, 4096, 8192, 9000, 10_000, 16_384, 18_000, 20_000, 32_768, 36_000)
+CANDIDATE_SIGNAL_PERIODS = (
+    256,
+    360,
+    512,
+    720,
+    1024,
+    2048,
+    3600,
+    4096,
+    8192,
+    9000,
+    10_000,
+    16_384,
+    18_000,
+    20_000,
+    32_768,
+    36_000,
+)
 """Signal periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
 
 
@@ -31,23 +48,24 @@ class EncoderInterpolation(SlotEffect):
 
     circle: Literal["azimuth", "elevation"] = "azimuth"
     periods: int = 36_000
+    """Signal periods of the encoder per turn."""
 
     name = "encoder-interpolation"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("azimuth", "elevation")
     covariates = ("azimuth", "elevation")
-    parameters = lobes("interpolation", "`periods` times the raw angle", MICRORADIAN)
+    parameters = cos_sin_parameters("interpolation", "`periods` times the raw angle", MICRORADIAN)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "observables", (self.circle,))
         object.__setattr__(self, "covariates", (self.circle,))
 
     @property
-    def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
-        return waves(self.circle, self.periods)
+    def terms(self) -> tuple[SlotTerm, ...]:  # type: ignore[override]
+        return cos_sin_terms(self.circle, self.periods)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for both circles with the usual numbers of periods."""
         circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
-        return [cls(circle=circle, periods=n) for circle in circles for n in COUNTS]
+        return [cls(circle=circle, periods=n) for circle in circles for n in CANDIDATE_SIGNAL_PERIODS]

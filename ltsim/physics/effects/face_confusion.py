@@ -4,12 +4,12 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Mistake, Parameter, Stage
+from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class FaceConfusion(Mistake):
+class FaceConfusion(Blunder):
     """Confused faces: readings of one face are stored as those of the other.
 
     Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
@@ -25,27 +25,28 @@ class FaceConfusion(Mistake):
     """
 
     face: int = 2
+    """Face, 1 or 2, whose pointings are stored as the other face."""
 
     name = "face-confusion"
-    stage = Stage.ELECTRONICS
+    stage = LightPathStage.ELECTRONICS
     observables = ("azimuth", "elevation")
     covariates = ("face",)
     scope = "station"
     parameters = (Parameter("confused", "", "1 for exchanged faces", 1.0),)
 
     @classmethod
-    def possible(cls, sightings: Sightings) -> list[Self]:
+    def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: either face of every station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
 
-    def done(self, sightings: Sightings) -> Sightings:
+    def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings with the other face in the affected rows."""
-        confused = (self.mask(sightings) > 0) & (sightings.face == self.face)
+        confused = (self.row_weights(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.mask(sightings) * (sightings.face == self.face)
-        azimuth, elevation = sightings.raw[:, 1], sightings.raw[:, 2]
+        acts = self.row_weights(sightings) * (sightings.face == self.face)
+        azimuth, elevation = sightings.raw_readings[:, 1], sightings.raw_readings[:, 2]
         turned = np.where(azimuth > 0, -np.pi, np.pi)
         change = np.stack([np.zeros_like(azimuth), turned, np.pi - 2 * elevation], axis=1)
         confused: Floats = change * acts[:, None]

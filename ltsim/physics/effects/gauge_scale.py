@@ -2,7 +2,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import PPM
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 
@@ -21,7 +21,7 @@ class GaugeScale(Effect):
     """
 
     name = "gauge-scale"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     observables = ()
     covariates = ("temperature",)
     parameters = (Parameter("gauge-scale", "ppm", "fraction missing from every known length", 20 * PPM),)

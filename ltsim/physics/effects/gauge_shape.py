@@ -5,7 +5,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Stage, along_axes
+from ltsim.physics.effects.effect import Effect, LightPathStage, axis_parameters
 from ltsim.scene.sightings import Sightings
 
 
@@ -28,14 +28,15 @@ class GaugeShape(Effect):
     """
 
     index: int = 0
+    """Index of the target in the network whose nest moved."""
 
     name = "gauge-shape"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     observables = ()
     covariates = ("place",)
     scope = "target"
-    plural = True
-    parameters = along_axes("nest", "um", "motion of the nest along", 30 * MICROMETRE)
+    may_recur = True
+    parameters = axis_parameters("nest", "um", "motion of the nest along", 30 * MICROMETRE)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -1,6 +1,6 @@
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 
@@ -20,11 +20,13 @@ class HeadSag(Effect):
     """
 
     name = "head-sag"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     observables = ("elevation",)
     covariates = ("elevation",)
     parameters = (Parameter("sag", "urad", "droop of a level beam", 5 * MICRORADIAN),)
 
     def design(self, sightings: Sightings) -> Floats:
-        upright = sightings.unit_vectors[2][:, 2]
-        return on_readings(sightings, elevation=-self.mask(sightings) * upright)[:, :, None]
+        upright = sightings.beam_vectors[2][:, 2]
+        return design_from_front_face_corrections(sightings, elevation=-self.row_weights(sightings) * upright)[
+            :, :, None
+        ]

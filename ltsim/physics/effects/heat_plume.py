@@ -4,30 +4,34 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage, on_readings
-from ltsim.physics.effects.rays import AirField, WarmAir, bending
-from ltsim.scene.regions import Region, regions_of
+from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter, design_from_front_face_corrections
+from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_change_per_kelvin
+from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
-RING = 8
-LEVELS = (-0.6, 0.0, 0.6)
+N_AZIMUTHS = 8
+"""Number of azimuths of candidate directions around a station or target."""
+CANDIDATE_ELEVATIONS = (-0.6, 0.0, 0.6)
 """Elevations [rad] of candidate directions, in addition to zenith and nadir."""
-REACH = 0.5
+STATION_CENTRE_DISTANCES = 0.5
 """Distance [m] of candidate centres from a station."""
-MOVES = (0.2, 0.08)
+REFINEMENT_STEPS = (0.2, 0.08)
 """Steps [m] in the refinement of a centre."""
-NEAR_STATION, NEAR_TARGET = 0.25, 0.5
-MAX_PLACES = 40
+STATION_PLUME_RADIUS = 0.25
+"""Radius [m] of candidate plumes near a station."""
+TARGET_PLUME_RADIUS = 0.5
+"""Radius [m] of candidate plumes near a target."""
+MAX_SINGLE_PLACES = 40
 """Number of stations, or targets, beyond which plumes at single ones are not tried."""
 
 
-def _rounded(offset: Floats) -> tuple[float, float, float]:
+def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
     x, y, z = (round(float(v), 6) for v in offset)
     return x, y, z
 
 
 @dataclass(frozen=True)
-class HeatPlume(WarmAir):
+class HeatPlume(WarmAirEffect):
     """Heat plume: a motor, a radiator or the tracker's exhaust warms a region of the air.
 
     T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target, or at a place of the
@@ -49,14 +53,19 @@ class HeatPlume(WarmAir):
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Centre [m] relative to the station or target; without either, its coordinates in the network frame."""
     radius: float = 0.3
+    """Standard deviation [m] of the Gaussian temperature profile of the plume."""
 
     name = "heat-plume"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
-    ways = 3
-    parameters = (Parameter("plume-temperature", "K", "excess temperature of the centre", 5.0, positive=True),)
-    shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
+    n_neighbour_directions = 3
+    parameters = (Parameter("plume-temperature", "K", "excess temperature of the centre", 5.0, is_positive=True),)
+    shape_parameters = (
+        ShapeParameter(
+            "radius", "m", "standard deviation of the warm ball", 0.1, 1.0, has_logarithmic_grid=True, n_grid_values=4
+        ),
+    )
 
     def __post_init__(self) -> None:
         if self.targets and not any(self.offset):  # all rays then point at the centre, and none is bent
@@ -65,23 +74,29 @@ class HeatPlume(WarmAir):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates around every station and target, and on a grid over the hall."""
-        angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
-        ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
-        offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
-        stations = sightings.station_names if len(sightings.station_names) <= MAX_PLACES else ()
-        targets = sightings.target_names if len(sightings.target_names) <= MAX_PLACES else ()
+        angles = np.linspace(0.0, 2 * np.pi, N_AZIMUTHS, endpoint=False)
+        ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS]
+        offsets = [
+            _rounded_to_mm(STATION_CENTRE_DISTANCES * np.array(way))
+            for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+        ]
+        stations = sightings.station_names if len(sightings.station_names) <= MAX_SINGLE_PLACES else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MAX_SINGLE_PLACES else ()
         return [
-            *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
-            *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
-            *(cls((), (), _rounded(np.array(ball.centre)), ball.width) for ball in regions_of(sightings, ("xyz",))),
+            *(cls((name,), (), offset, STATION_PLUME_RADIUS) for name in stations for offset in offsets),
+            *(cls((), (name,), radius=TARGET_PLUME_RADIUS) for name in targets),
+            *(
+                cls((), (), _rounded_to_mm(np.array(ball.centre)), ball.width)
+                for ball in candidate_regions(sightings, ("xyz",))
+            ),
         ]
 
-    def finer(self, sightings: Sightings) -> list[Self]:
+    def neighbours(self, sightings: Sightings) -> list[Self]:
         """Plumes with the centre moved along each axis."""
         if self.targets:
             return []
-        moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
-        return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
+        moved = [sign * step * axis for step in REFINEMENT_STEPS for axis in np.eye(3) for sign in (1.0, -1.0)]
+        return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in moved]
 
     @property
     def source_position(self) -> tuple[float, ...]:
@@ -90,32 +105,32 @@ class HeatPlume(WarmAir):
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
         """Copy of the plume with another centre in the hall."""
-        return self.reshaped(offset=centre)
+        return self.with_constants(offset=centre)
 
     def _centre(self, sightings: Sightings) -> Floats:
         """Centre (3,) [m] in the network frame."""
         anchor = np.zeros(3)
         if self.stations:
-            anchor = sightings.position[sightings.station_names.index(self.stations[0])]
+            anchor = sightings.station_positions[sightings.station_names.index(self.stations[0])]
         elif self.targets:
-            anchor = sightings.points[sightings.target_names.index(self.targets[0])]
+            anchor = sightings.target_points[sightings.target_names.index(self.targets[0])]
         return anchor + np.asarray(self.offset)
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per kelvin, first order, in closed form."""
-        ball = Region("xyz", tuple(self._centre(sightings).tolist()), self.radius)
-        path, pull = ball.bending(sightings)
-        _, across, up = sightings.unit_vectors
-        acts = bending() * self.mask(sightings)
+        ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
+        path, pull = ball.path_and_bending(sightings)
+        _, across, up = sightings.beam_vectors
+        acts = relative_index_change_per_kelvin() * self.row_weights(sightings)
         bend = -pull * (acts / sightings.range_)[:, None]
-        return on_readings(
+        return design_from_front_face_corrections(
             sightings,
             distance=acts * path,
             azimuth=np.sum(bend * across, axis=1) / np.cos(sightings.elevation),
             elevation=np.sum(bend * up, axis=1),
         )[:, :, None]
 
-    def field(self, sightings: Sightings) -> AirField:
+    def field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field of a plume whose centre is 1 K warmer."""
         centre = self._centre(sightings)
 

@@ -1,5 +1,5 @@
-from ltsim.core.units import FACTOR, MICRORADIAN
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
 
@@ -20,12 +20,12 @@ class IndexDrift(Drift):
     """
 
     name = "index-drift"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     slot = "elevation"
-    rate = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
-    parameters = (rate,)
+    rate_parameter = Parameter("index-drift", "urad/h", "growth of the index", 20 * SI_PER_UNIT["urad/h"])
+    amplitude_parameter = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
+    parameters = (rate_parameter,)
 
-    laws = ("linear", "visit")
-    alone = True
+    linear_laws = ("linear", "visit")
+    tries_single_stations = True

@@ -4,13 +4,14 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetMotion
-from ltsim.physics.effects.places import start_time
+from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
-MODES = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
+EXPANSION_WEIGHTS = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
+"""Weights of the expansion along x, y and z, by mode."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,12 @@ class MeshExpansion(TargetMotion):
     """
 
     mode: Literal["uniform", "vertical"] = "uniform"
+    """Mode of the expansion: equal along all axes, or vertical only."""
 
     name = "mesh-expansion"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("time", "place")
-    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * FACTOR["ppm/h"]),)
+    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
@@ -44,6 +46,6 @@ class MeshExpansion(TargetMotion):
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        since = self.mask(sightings) * (sightings.time - start_time(sightings))
-        arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
-        return (since[:, None] * arm * MODES[self.mode])[:, :, None]
+        since = self.row_weights(sightings) * (sightings.time - first_pointing_time(sightings))
+        arm = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
+        return (since[:, None] * arm * EXPANSION_WEIGHTS[self.mode])[:, :, None]

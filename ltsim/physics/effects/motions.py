@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.effects.effect import Effect, by_displacement
+from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.signature import Linearisation
 from ltsim.scene.sightings import Sightings
 
 
 def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
-    return reading_change(sightings, _displaced(sightings, displacement).local)
+    return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
@@ -23,37 +23,46 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    return reading_change(sightings, _apparent(sightings, motion).local)
+    return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
 
 
-def _displaced(sightings: Sightings, displacement: Floats) -> Sightings:
+def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
     """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
-    return replace(sightings, lift=displacement if sightings.lift is None else sightings.lift + displacement)
+    return replace(
+        sightings,
+        reflector_offsets=displacement
+        if sightings.reflector_offsets is None
+        else sightings.reflector_offsets + displacement,
+    )
 
 
-def _apparent(sightings: Sightings, motion: Floats) -> Sightings:
+def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
     """Sightings with reflectors at their apparent positions, seen from stations that moved by (n, 6)."""
     back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
-    apparent = np.einsum("nij,nj->ni", back, sightings.arm - motion[:, :3])
-    return _displaced(sightings, apparent - sightings.arm)
+    apparent = np.einsum("nij,nj->ni", back, sightings.sight_vectors - motion[:, :3])
+    return _sightings_with_displaced_targets(sightings, apparent - sightings.sight_vectors)
 
 
-def _linearised(sightings: Sightings, apparent: Sightings, by_values: Floats) -> Linearisation:
+def _linearised_change(
+    sightings: Sightings, apparent_sightings: Sightings, displacement_by_values: Floats
+) -> Linearisation:
     """Change of the readings for displaced apparent reflectors, with its derivatives."""
-    by_target = apparent.by_target - sightings.by_target
-    by_pose = station_design(apparent) - station_design(sightings)
-    return Linearisation(reading_change(sightings, apparent.local), by_values, (by_target, by_pose))
+    by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
+    by_pose = station_design(apparent_sightings) - station_design(sightings)
+    return Linearisation(
+        reading_change(sightings, apparent_sightings.local_points), displacement_by_values, (by_target, by_pose)
+    )
 
 
 def station_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of station motion, first order."""
-    return pose_design(sightings.by_target, sightings.arm)
+    return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
-def reading_change(sightings: Sightings, local: Floats) -> Floats:
+def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
     """Change (n, 3) of the raw readings for targets at (n, 3) [m] in the instruments' frames."""
-    change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
-    change[:, 1] = wrap(change[:, 1])
+    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw_readings
+    change[:, 1] = wrap_angle(change[:, 1])
     return change
 
 
@@ -66,15 +75,15 @@ class TargetMotion(Effect):
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        return by_displacement(sightings, self.displacement(sightings))
+        return design_from_displacements(sightings, self.displacement(sightings))
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
-        apparent = _displaced(sightings, displacement @ values)
-        return _linearised(sightings, apparent, by_displacement(apparent, displacement))
+        apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
+        return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
 
 
 @dataclass(frozen=True)
@@ -88,10 +97,10 @@ class StationMotion(Effect):
     def design(self, sightings: Sightings) -> Floats:
         return station_design(sightings) @ self.motion(sightings)
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_station_change(sightings, self.motion(sightings) @ values)
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         motion = self.motion(sightings)
-        apparent = _apparent(sightings, motion @ values)
-        return _linearised(sightings, apparent, station_design(apparent) @ motion)
+        apparent = _apparent_sightings(sightings, motion @ values)
+        return _linearised_change(sightings, apparent, station_design(apparent) @ motion)

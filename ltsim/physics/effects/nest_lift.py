@@ -5,13 +5,14 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Parameter, Stage, along_axes
+from ltsim.physics.effects.effect import LightPathStage, Parameter, axis_parameters
 from ltsim.physics.effects.motions import TargetMotion
-from ltsim.physics.effects.places import visited_pairs
+from ltsim.physics.effects.places import station_target_pairs
 from ltsim.scene.sightings import Sightings
 
-SIZE = 50 * MICROMETRE
-MAX_PAIRS = 600
+PLAUSIBLE_LIFT = 50 * MICROMETRE
+"""Plausible lift [m] of a reflector in its nest."""
+MAX_STATION_TARGET_PAIRS = 600
 """Number of pairs of station and target beyond which single seatings are not searched, because the
 w-test detects them.
 """
@@ -35,33 +36,34 @@ class NestLift(TargetMotion):
     """
 
     kind: Literal["normal", "free"] = "normal"
+    """Direction of the lift: along the normal of the nest, or any."""
 
     name = "nest-lift"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("place",)
     scope = "pointing"
-    plural = True
-    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", SIZE),)
+    may_recur = True
+    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", PLAUSIBLE_LIFT),)
 
     def __post_init__(self) -> None:
         if self.kind == "free":
-            moved = along_axes("lift", "um", "motion of the reflector along", SIZE)
+            moved = axis_parameters("lift", "um", "motion of the reflector along", PLAUSIBLE_LIFT)
             object.__setattr__(self, "parameters", moved)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
-        pairs = visited_pairs(sightings)
-        if len(pairs) > MAX_PAIRS:
+        pairs = station_target_pairs(sightings)
+        if len(pairs) > MAX_STATION_TARGET_PAIRS:
             return []
-        oriented = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
+        oriented = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented}
         along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        acts = self.mask(sightings)[:, None, None]
+        acts = self.row_weights(sightings)[:, None, None]
         if self.kind == "free":
             return acts * np.eye(3)
-        normal: Floats = np.nan_to_num(sightings.nest_normal[sightings.target])[:, :, None]
+        normal: Floats = np.nan_to_num(sightings.nest_normals[sightings.target])[:, :, None]
         return acts * normal

@@ -1,10 +1,10 @@
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import NoiseEffect, Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, NoiseEffect, Parameter
 from ltsim.scene.sightings import Sightings
 
-LEAST = 0.01
+MIN_VARIANCE_FACTOR = 0.01
 """Smallest permitted factor on a variance."""
 
 
@@ -22,8 +22,8 @@ class NoiseLevel(NoiseEffect):
     """
 
     name = "noise-level"
-    least = -0.95
-    stage = Stage.NOISE
+    min_relative_size = -0.95
+    stage = LightPathStage.NOISE
     parameters = (
         Parameter("noise-distance", "", "variance added to the ranges, divided by the declared variance", 1.0),
         Parameter("noise-azimuth", "", "variance added to the azimuths, divided by the declared variance", 1.0),
@@ -31,5 +31,5 @@ class NoiseLevel(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        factor = 1.0 + self.mask(sightings)[:, None] * values
-        return sigma**2 * np.maximum(factor, LEAST)
+        factor = 1.0 + self.row_weights(sightings)[:, None] * values
+        return sigma**2 * np.maximum(factor, MIN_VARIANCE_FACTOR)

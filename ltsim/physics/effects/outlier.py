@@ -5,14 +5,16 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 Observable = Literal["distance", "azimuth", "elevation"]
 
 
-COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
-MAX_ROWS = 1500
+OBSERVABLE_COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
+"""Column of each observable in the array of readings."""
+MAX_SEARCHED_POINTINGS = 1500
+"""Number of pointings beyond which a search does not try single outliers, because the w-test detects them."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,14 @@ class Outlier(Effect):
     """
 
     row: int = 0
+    """Row number of the pointing."""
     observable: Observable = "distance"
+    """Observable whose reading is wrong."""
 
     name = "outlier"
-    stage = Stage.ELECTRONICS
+    stage = LightPathStage.ELECTRONICS
     scope = "reading"
-    plural = True
+    may_recur = True
     parameters = (Parameter("outlier", "um", "correction of the range", 300 * MICROMETRE),)
 
     def __post_init__(self) -> None:
@@ -48,16 +52,16 @@ class Outlier(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every reading of a recording of moderate size."""
-        if len(sightings) > MAX_ROWS:
+        if len(sightings) > MAX_SEARCHED_POINTINGS:
             return []
         places = [
             ((sightings.station_names[s],), (sightings.target_names[t],))
             for s, t in zip(sightings.station, sightings.target, strict=True)
         ]
-        return [cls(*place, row, o) for o in COLUMN for row, place in enumerate(places)]
+        return [cls(*place, row, o) for o in OBSERVABLE_COLUMN for row, place in enumerate(places)]
 
     def design(self, sightings: Sightings) -> Floats:
         design = np.zeros((len(sightings), 3, 1))
         if self.row < len(sightings):
-            design[self.row, COLUMN[self.observable], 0] = -self.mask(sightings)[self.row]
+            design[self.row, OBSERVABLE_COLUMN[self.observable], 0] = -self.row_weights(sightings)[self.row]
         return design

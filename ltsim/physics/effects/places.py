@@ -9,78 +9,81 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-MAX_CHANGES = 140
+MAX_CHANGE_POINTS = 140
 """Number of change points that are tried over all stations of a network."""
-REACH = 6
+N_NEIGHBOUR_GAPS = 6
+"""Number of gaps between pointings on either side of a change point to which a refinement moves it."""
 
 
-def change_times(times: Floats, *, least: int, most: int) -> list[float]:
-    """Midpoints of the gaps between pointings at `times` [s] with at least `least` pointings on either side.
+def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[float]:
+    """Midpoints of the gaps between pointings at `times` [s] with at least `min_pointings` pointings on either side.
 
-    At most `most` midpoints are returned, spread evenly over the measurement.
+    At most `max_times` midpoints are returned, spread evenly over the measurement.
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
-    inner = slice(least - 1, max(len(middle) - least + 1, least - 1))
+    inner = slice(min_pointings - 1, max(len(middle) - min_pointings + 1, min_pointings - 1))
     middles = middle[inner][gap[inner] > 0]
-    if len(middles) > most:
-        middles = middles[np.unique(np.linspace(0, len(middles) - 1, most).round().astype(int))]
+    if len(middles) > max_times:
+        middles = middles[np.unique(np.linspace(0, len(middles) - 1, max_times).round().astype(int))]
     return [float(t) for t in middles]
 
 
-def station_change_times(sightings: Sightings, *, least: int) -> list[tuple[str, float]]:
+def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
     """Pairs (station, time [s]) of the change points within a station's visit that are tried."""
-    most = max(2, MAX_CHANGES // max(len(sightings.station_names), 1))
+    most = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
-        for time in change_times(sightings.time[sightings.station == s], least=least, most=most)
+        for time in change_times(sightings.time[sightings.station == s], min_pointings=min_pointings, max_times=most)
     ]
 
 
-def visit_change_times(sightings: Sightings, target: int, *, most: int) -> list[float]:
+def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> list[float]:
     """Times [s] between two visits to a target from different stations; between all pointings if only one sees it."""
-    rows = sightings.order[sightings.target[sightings.order] == target]
+    rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
     times, stations = sightings.time[rows], sightings.station[rows]
     if len(np.unique(stations)) < 2:
-        return change_times(times, least=2, most=most)
+        return change_times(times, min_pointings=2, max_times=max_times)
     moved = np.flatnonzero(np.diff(stations))
     middles = 0.5 * (times[moved] + times[moved + 1])
-    if len(middles) > most:
-        middles = middles[np.linspace(0, len(middles) - 1, most).round().astype(int)]
+    if len(middles) > max_times:
+        middles = middles[np.linspace(0, len(middles) - 1, max_times).round().astype(int)]
     return [float(t) for t in np.unique(middles)]
 
 
-def gaps_near(times: Floats, time: float) -> list[float]:
-    """Midpoints [s] of the `REACH` gaps between pointings at `times` on either side of `time`."""
+def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
+    """Midpoints [s] of the `N_NEIGHBOUR_GAPS` gaps between pointings at `times` on either side of `time`."""
     ordered = np.unique(times)
     middle = 0.5 * (ordered[1:] + ordered[:-1])
     at = int(np.searchsorted(middle, time))
-    return [float(t) for t in middle[max(at - REACH, 0) : at + REACH + 1]]
+    return [float(t) for t in middle[max(at - N_NEIGHBOUR_GAPS, 0) : at + N_NEIGHBOUR_GAPS + 1]]
 
 
-def visited_pairs(sightings: Sightings) -> list[tuple[str, str]]:
+def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
     """Pairs (station, target) with a pointing."""
     pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
     return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
 
 
-def start_time(sightings: Sightings) -> float:
+def first_pointing_time(sightings: Sightings) -> float:
     """Time [s] of the first pointing."""
     return float(sightings.time.min(initial=np.inf))
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
 
-WARM_UP = ShapeParameter(
-    "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, logarithmic=True, steps=6
+WARM_UP_TIME_CONSTANT = ShapeParameter(
+    "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
 )
+"""Time constant of a warm-up, with the bounds between which a search varies it."""
 
 
-MAX_TIME_CONSTANT, SPAN_FRACTIONS = 2.0, (0.3, 1.0)
-"""Ratios of time constants to the duration of the measurement: the largest that is tried, and those that replace the
-usual ones if these are longer.
-"""
+MAX_TIME_CONSTANT_RATIO = 2.0
+"""Largest time constant that a search tries, as a multiple of the duration of the measurement."""
+SHORT_RECORDING_TIME_CONSTANTS = (0.3, 1.0)
+"""Time constants that replace the usual ones if these exceed the limit, as fractions of the duration of the
+measurement."""
 
 
 @dataclass(frozen=True)
@@ -95,17 +98,20 @@ class Drift(Effect):
     """Time constant [s] of the exponential law."""
 
     covariates = ("time",)
-    shape = (WARM_UP,)
+    shape_parameters = (WARM_UP_TIME_CONSTANT,)
     slot: ClassVar[str]
-    rate: ClassVar[Parameter]
-    amplitude: ClassVar[Parameter]
-    laws: ClassVar[tuple[TimeLaw, ...]]
+    """Slot of the kinematic chain that drifts."""
+    rate_parameter: ClassVar[Parameter]
+    """Parameter of the linear laws: correction per time."""
+    amplitude_parameter: ClassVar[Parameter]
+    """Parameter of the exponential law: correction at the start."""
+    linear_laws: ClassVar[tuple[TimeLaw, ...]]
     """Linear laws that are tried at all stations together: the first one, and with several stations the others."""
-    alone: ClassVar[bool] = False
+    tries_single_stations: ClassVar[bool] = False
     """True if the law of a visit is also tried at single stations."""
 
     def __post_init__(self) -> None:
-        chosen = self.amplitude if self.law == "exponential" else self.rate
+        chosen = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
         object.__setattr__(self, "parameters", (chosen,))
 
     @classmethod
@@ -116,23 +122,23 @@ class Drift(Effect):
         their number.
         """
         span = float(np.ptp(sightings.time))
-        times = [t for t in WARM_UP.grid().tolist() if t <= MAX_TIME_CONSTANT * span] or [
-            share * span for share in SPAN_FRACTIONS
+        times = [t for t in WARM_UP_TIME_CONSTANT.grid().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span] or [
+            share * span for share in SHORT_RECORDING_TIME_CONSTANTS
         ]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
-        linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
-        alone = [cls((name,), law="visit") for name in names if cls.alone]
+        linear = [cls(law=law) for law in (cls.linear_laws if names else cls.linear_laws[:1])]
+        alone = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
         warming = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
         return [*linear, *alone, *warming]
 
-    def progress(self, sightings: Sightings) -> Floats:
+    def time_law_values(self, sightings: Sightings) -> Floats:
         """Value (n,) of the time law at each pointing, [s] or dimensionless."""
         if self.law == "visit":
             return sightings.station_time
-        since = sightings.time - start_time(sightings)
+        since = sightings.time - first_pointing_time(sightings)
         return since if self.law == "linear" else np.asarray(np.exp(-since / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
-        amount = self.mask(sightings) * self.progress(sightings)
+        amount = self.row_weights(sightings) * self.time_law_values(sightings)
         column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
         return column[:, :, None]

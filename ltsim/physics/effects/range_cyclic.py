@@ -5,13 +5,23 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter, Stage, on_readings
+from ltsim.physics.effects.effect import (
+    Effect,
+    LightPathStage,
+    Parameter,
+    ShapeParameter,
+    design_from_front_face_corrections,
+)
 from ltsim.scene.sightings import Sightings
 
-SHORTEST, LONGEST = 0.02, 2.0
-PHASE = 0.125
+MIN_WAVELENGTH = 0.02
+"""Shortest wavelength [m] that a search tries."""
+MAX_WAVELENGTH = 2.0
+"""Longest wavelength [m] that a search tries."""
+MAX_PHASE_ERROR = 0.125
 """Largest phase error at the ends of the range interval, in periods, when the phase is correct in the middle."""
-MOST = 1200
+MAX_WAVELENGTHS = 1200
+"""Largest number of wavelengths that a search tries."""
 
 
 @dataclass(frozen=True)
@@ -34,25 +44,37 @@ class RangeCyclic(Effect):
     wavelength: float = 0.15
 
     name = "range-cyclic"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("distance",)
     parameters = (
         Parameter("cyclic-cos", "um", "cosine of the range's phase", 8 * MICROMETRE),
         Parameter("cyclic-sin", "um", "sine of the range's phase", 8 * MICROMETRE),
     )
-    shape = (ShapeParameter("wavelength", "mm", "unit length", SHORTEST, LONGEST, steps=600, reciprocal=True),)
+    shape_parameters = (
+        ShapeParameter(
+            "wavelength",
+            "mm",
+            "unit length",
+            MIN_WAVELENGTH,
+            MAX_WAVELENGTH,
+            n_grid_values=600,
+            has_reciprocal_grid=True,
+        ),
+    )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates with all wavelengths that the interval of ranges can distinguish, the longest first."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
-        step = 4 * PHASE / max(span, 0.5)
-        highest = min(1 / SHORTEST, 1 / LONGEST + MOST * step)
-        return [cls(wavelength=float(1 / f)) for f in np.arange(1 / LONGEST, highest, step)]
+        step = 4 * MAX_PHASE_ERROR / max(span, 0.5)
+        highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTHS * step)
+        return [cls(wavelength=float(1 / f)) for f in np.arange(1 / MAX_WAVELENGTH, highest, step)]
 
     def design(self, sightings: Sightings) -> Floats:
         phase = 2 * np.pi * sightings.range_ / self.wavelength
-        acts = self.mask(sightings)
-        columns = [on_readings(sightings, distance=acts * wave(phase)) for wave in (np.cos, np.sin)]
+        acts = self.row_weights(sightings)
+        columns = [
+            design_from_front_face_corrections(sightings, distance=acts * wave(phase)) for wave in (np.cos, np.sin)
+        ]
         return np.stack(columns, axis=2)

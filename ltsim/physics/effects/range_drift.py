@@ -1,5 +1,5 @@
-from ltsim.core.units import FACTOR, MICROMETRE
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.core.units import MICROMETRE, SI_PER_UNIT
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
 
@@ -18,11 +18,15 @@ class RangeDrift(Drift):
     """
 
     name = "range-drift"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     slot = "range"
-    rate = Parameter("range-drift", "um/h", "growth of the length missing from every range", 15 * FACTOR["um/h"])
-    amplitude = Parameter("range-drift-amplitude", "um", "length missing at the start, decaying", 20 * MICROMETRE)
-    parameters = (rate,)
+    rate_parameter = Parameter(
+        "range-drift", "um/h", "growth of the length missing from every range", 15 * SI_PER_UNIT["um/h"]
+    )
+    amplitude_parameter = Parameter(
+        "range-drift-amplitude", "um", "length missing at the start, decaying", 20 * MICROMETRE
+    )
+    parameters = (rate_parameter,)
 
-    laws = ("linear", "visit")
+    linear_laws = ("linear", "visit")

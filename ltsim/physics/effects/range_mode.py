@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.recordings.recording import MODE_COLUMN
 from ltsim.scene.sightings import Sightings
 
@@ -24,7 +24,7 @@ class RangeMode(Effect):
     """
 
     name = "range-mode"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = (MODE_COLUMN,)
     parameters = (Parameter("interferometer-zero", "um", "missing length of interferometer ranges", 30 * MICROMETRE),)
@@ -36,4 +36,6 @@ class RangeMode(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         interferometer = sightings.covariates.get(MODE_COLUMN, np.zeros(len(sightings)))
-        return on_readings(sightings, distance=self.mask(sightings) * interferometer)[:, :, None]
+        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * interferometer)[
+            :, :, None
+        ]

@@ -1,5 +1,5 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class RangeOffset(SlotEffect):
@@ -18,9 +18,9 @@ class RangeOffset(SlotEffect):
     """
 
     name = "range-offset"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
         Parameter("range-offset", "um", "constant missing from every range", 10 * MICROMETRE, "range_offset"),
     )
-    terms = (Term("range"),)
+    terms = (SlotTerm("range"),)

@@ -1,5 +1,5 @@
 from ltsim.core.units import PPM
-from ltsim.physics.effects.effect import Parameter, Power, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, RangePowerBasis, SlotEffect, SlotTerm
 
 
 class RangeScale(SlotEffect):
@@ -18,7 +18,7 @@ class RangeScale(SlotEffect):
     """
 
     name = "range-scale"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (Parameter("range-scale", "ppm", "fraction missing from every range", 2 * PPM, "range_scale"),)
-    terms = (Term("range", Power()),)
+    terms = (SlotTerm("range", RangePowerBasis()),)

@@ -3,8 +3,8 @@ from typing import Self
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.physics.effects.places import gaps_near, station_change_times
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
+from ltsim.physics.effects.places import neighbouring_gap_times, station_change_times
 from ltsim.scene.sightings import Sightings
 
 
@@ -24,9 +24,10 @@ class RangeStep(Effect):
     """
 
     time: float = 0.0
+    """Time [s] of the step."""
 
     name = "range-step"
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("time",)
     scope = "station"
@@ -39,14 +40,14 @@ class RangeStep(Effect):
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
         ]
-        changes = station_change_times(sightings, least=2)
+        changes = station_change_times(sightings, min_pointings=2)
         return [cls((name,), time=time) for name, time in [*starts, *changes]]
 
-    def finer(self, sightings: Sightings) -> list[Self]:
+    def neighbours(self, sightings: Sightings) -> list[Self]:
         """Steps in the neighbouring gaps between pointings."""
-        times = sightings.time[self.mask(sightings) > 0]
-        return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
+        times = sightings.time[self.row_weights(sightings) > 0]
+        return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
-        after = self.mask(sightings) * (sightings.time >= self.time)
-        return on_readings(sightings, distance=after)[:, :, None]
+        after = self.row_weights(sightings) * (sightings.time >= self.time)
+        return design_from_front_face_corrections(sightings, distance=after)[:, :, None]

@@ -16,91 +16,94 @@ from numpy.polynomial import Polynomial
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity
-from ltsim.physics.effects.effect import Effect, on_readings
+from ltsim.physics.effects.effect import Effect, design_from_front_face_corrections
 from ltsim.physics.effects.motions import reading_change
 from ltsim.scene.sightings import Sightings
 
-AirField = Callable[[Floats], tuple[Floats, Floats]]
+TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
+"""Function from points (n, 3) [m] to temperature differences (n,) [K] and their gradients (n, 3) [K/m]."""
 
-REFERENCE = 20.0
+REFERENCE_TEMPERATURE = 20.0
 """Reference temperature [C] at the weather sensor; beta changes by 0.5 % per kelvin."""
-STEPS = 64
-NODES, WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
+N_RAY_STEPS = 64
+"""Number of Runge-Kutta steps along a ray."""
+QUADRATURE_NODES, QUADRATURE_WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
+"""Weights of the Gauss-Legendre quadrature along a straight path."""
 
 
 @lru_cache
-def _index_law() -> tuple[Polynomial, Polynomial]:
+def _refractivity_by_temperature() -> tuple[Polynomial, Polynomial]:
     """Refractivity (index less one) by the temperature above the sensor's, -15 to +40 K, and its derivative."""
     excess = np.linspace(-15.0, 40.0, 56)
-    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE + excess), 8).convert()
+    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE_TEMPERATURE + excess), 8).convert()
     return law, law.deriv()
 
 
 @lru_cache
-def bending() -> float:
+def relative_index_change_per_kelvin() -> float:
     """Relative decrease beta / n [1/K] of the refractive index per kelvin, at the weather sensor."""
-    law, _ = _index_law()
-    return temperature_sensitivity(REFERENCE) / (1.0 + float(law(0.0)))
+    law, _ = _refractivity_by_temperature()
+    return temperature_sensitivity(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
 
 
-def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None) -> Floats:
+def first_order_change(sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None) -> Floats:
     """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre).
 
-    If `acts` (n,) is given, only the pointings that it marks are integrated; the others do not change.
+    If `reflector_weights` (n,) is given, only the pointings that it marks are integrated; the others do not change.
     """
-    rows = np.arange(len(sightings)) if acts is None else np.flatnonzero(acts)
-    beam, across, up = (way[rows] for way in sightings.unit_vectors)
+    rows = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
+    beam, across, up = (way[rows] for way in sightings.beam_vectors)
     length = sightings.range_[rows]
-    share = 0.5 * (1.0 + NODES)
-    start = sightings.position[sightings.station[rows]]
+    share = 0.5 * (1.0 + QUADRATURE_NODES)
+    start = sightings.station_positions[sightings.station[rows]]
     points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
-    beta = bending()
-    weight = 0.5 * WEIGHTS
-    mean = warmer.reshape(len(length), len(NODES)) @ weight
-    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(NODES), 3), weight * (1.0 - share))
+    beta = relative_index_change_per_kelvin()
+    weight = 0.5 * QUADRATURE_WEIGHTS
+    mean = warmer.reshape(len(length), len(QUADRATURE_NODES)) @ weight
+    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - share))
     bend = -beta * length[:, None] * pull  # D over d: an angle
     change = np.zeros((3, len(sightings)))
     change[0, rows] = beta * length * mean
     change[1, rows] = np.sum(bend * across, axis=1) / np.cos(sightings.elevation[rows])
     change[2, rows] = np.sum(bend * up, axis=1)
-    return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
+    return design_from_front_face_corrections(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 
-def integrated_change(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
+def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: int = N_RAY_STEPS) -> Floats:
     """Change (n, 3) of the raw readings by the ray equation (Runge-Kutta, fourth order).
 
     The ray starts in the first-order direction, which is then corrected by the distance at which it misses the target.
     """
-    start, target = sightings.position[sightings.station], sightings.points[sightings.target]
+    start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     length = sightings.range_
     guess = _apparent_directions(sightings, field)
-    end, arrival, optical = _traced(start, guess, length, field, steps)
+    end, arrival, optical = _trace_rays(start, guess, length, field, steps)
     miss = target - end
     along = np.sum(miss * arrival, axis=1)
     aim = guess + (miss - along[:, None] * arrival) / length[:, None]
-    law, _ = _index_law()
+    law, _ = _refractivity_by_temperature()
     at_target = law(field(target)[0])
     excess = (optical + at_target * along - law(0.0) * (length + along)) / (1.0 + law(0.0))
-    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], aim)
+    local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
     apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (length + along + excess)[:, None]
     return reading_change(sightings, apparent)
 
 
-def _apparent_directions(sightings: Sightings, field: AirField) -> Floats:
+def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
     """Unit vectors (n, 3) towards the apparent positions of the targets, first order."""
-    beam, across, up = sightings.unit_vectors
-    change = first_order(sightings, field)
+    beam, across, up = sightings.beam_vectors
+    change = first_order_change(sightings, field)
     aside = change[:, 1] * np.cos(sightings.elevation)
     aim = beam + aside[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up
     return aim / np.linalg.norm(aim, axis=1, keepdims=True)
 
 
-def _traced(
-    start: Floats, direction: Floats, length: Floats, field: AirField, steps: int
+def _trace_rays(
+    start: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3), end directions (n, 3) and integrals (n,) of n - 1 along rays of given arc length."""
-    law, slope = _index_law()
+    law, slope = _refractivity_by_temperature()
 
     def rates(place: Floats, heading: Floats) -> tuple[Floats, Floats]:
         warmer, gradient = field(place)
@@ -128,18 +131,18 @@ def _traced(
 
 
 @dataclass(frozen=True)
-class WarmAir(Effect):
+class WarmAirEffect(Effect):
     """Base class of effects of warmer air, with the temperature difference [K] as the only parameter."""
 
-    def field(self, sightings: Sightings) -> AirField:
+    def field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field for a parameter of 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per kelvin, first order."""
-        return first_order(sightings, self.field(sightings), self.mask(sightings) > 0)[:, :, None]
+        return first_order_change(sightings, self.field(sightings), self.row_weights(sightings) > 0)[:, :, None]
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by integration of the ray."""
         kelvin = self.field(sightings)
 
@@ -147,4 +150,4 @@ class WarmAir(Effect):
             warmer, gradient = kelvin(points)
             return values[0] * warmer, values[0] * gradient
 
-        return integrated_change(sightings, field) * self.mask(sightings)[:, None]
+        return integrated_change(sightings, field) * self.row_weights(sightings)[:, None]

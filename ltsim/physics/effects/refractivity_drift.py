@@ -1,7 +1,7 @@
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.physics.effects.places import start_time
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
+from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
 
@@ -20,13 +20,17 @@ class RefractivityDrift(Effect):
     """
 
     name = "refractivity-drift"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("time", "distance")
     parameters = (
-        Parameter("refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * FACTOR["ppm/h"]),
+        Parameter(
+            "refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * SI_PER_UNIT["ppm/h"]
+        ),
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        since = sightings.time - start_time(sightings)
-        return on_readings(sightings, distance=self.mask(sightings) * sightings.range_ * since)[:, :, None]
+        since = sightings.time - first_pointing_time(sightings)
+        return design_from_front_face_corrections(
+            sightings, distance=self.row_weights(sightings) * sightings.range_ * since
+        )[:, :, None]

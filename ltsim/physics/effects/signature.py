@@ -1,8 +1,9 @@
 """Signatures: functions of the readings whose parameters an adjustment estimates with poses, targets and instrument.
 
 `Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
-`name`, `parameters` and `design`. `Tunable` adds the interface for a search over laws; `NoiseSignature` is for changes
-of the variance. An effect (`effects.effect.Effect`) is a `Tunable` with a card: a physical cause with a name.
+`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
+changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a card: a physical cause with a
+name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
@@ -15,7 +16,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
+from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
 from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
@@ -28,19 +29,19 @@ class Parameter:
 
     name: str
     unit: str
-    """Unit of display, a key of `units.FACTOR`; values are SI."""
-    meaning: str
+    """Unit of display, a key of `units.SI_PER_UNIT`; values are SI."""
+    description: str
     prior_sigma: float
     """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
     """Kind of specification that gives the prior; None: `prior_sigma` alone."""
-    positive: bool = False
+    is_positive: bool = False
     """True for a quantity that is never negative, such as a thickness."""
 
     def sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] from the specification of the instrument."""
         if self.name in prior.parameters:
-            return prior.parameters[self.name] * self.factor
+            return prior.parameters[self.name] * self.si_per_display_unit
         if self.prior_kind is None:
             return self.prior_sigma
         return {
@@ -51,14 +52,16 @@ class Parameter:
         }[self.prior_kind]
 
     @property
-    def factor(self) -> float:
-        """Unit of display in SI."""
-        return FACTOR[self.unit]
+    def si_per_display_unit(self) -> float:
+        """Display unit of the parameter, expressed in SI."""
+        return SI_PER_UNIT[self.unit]
 
 
-def along_axes(name: str, unit: str, meaning: str, size: float) -> tuple[Parameter, ...]:
-    """Parameters along, or about, the axes of the network; `meaning` is the description without the axis."""
-    return tuple(Parameter(f"{name}-{axis}", unit, f"{meaning} the network's {axis} axis", size) for axis in "xyz")
+def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) -> tuple[Parameter, ...]:
+    """Parameters along, or about, the axes of the network; `description` is the description without the axis."""
+    return tuple(
+        Parameter(f"{name}-{axis}", unit, f"{description} the network's {axis} axis", prior_sigma) for axis in "xyz"
+    )
 
 
 @dataclass(frozen=True)
@@ -67,34 +70,34 @@ class ShapeParameter:
 
     name: str
     unit: str
-    meaning: str
-    low: float
-    high: float
-    logarithmic: bool = False
-    steps: int = 9
-    reciprocal: bool = False
+    description: str
+    lower_bound: float
+    upper_bound: float
+    has_logarithmic_grid: bool = False
+    n_grid_values: int = 9
+    has_reciprocal_grid: bool = False
 
     def grid(self) -> Floats:
         """Values (steps,) [SI] between the bounds, at which a search tries the effect.
 
-        Evenly spaced in the value, its logarithm, or (`reciprocal`, a wavelength) its inverse.
+        Evenly spaced in the value, its logarithm, or (`has_reciprocal_grid`, a wavelength) its inverse.
         """
-        if self.reciprocal:
-            return 1.0 / np.linspace(1.0 / self.high, 1.0 / self.low, self.steps)
-        if self.logarithmic:
-            return np.geomspace(self.low, self.high, self.steps)
-        return np.linspace(self.low, self.high, self.steps)
+        if self.has_reciprocal_grid:
+            return 1.0 / np.linspace(1.0 / self.upper_bound, 1.0 / self.lower_bound, self.n_grid_values)
+        if self.has_logarithmic_grid:
+            return np.geomspace(self.lower_bound, self.upper_bound, self.n_grid_values)
+        return np.linspace(self.lower_bound, self.upper_bound, self.n_grid_values)
 
-    def bracket(self, value: float) -> tuple[float, float]:
+    def neighbouring_grid_interval(self, value: float) -> tuple[float, float]:
         """Interval [SI] of a value, from one grid step below it to one above, within the bounds."""
         grid = np.sort(self.grid())
         if len(grid) < 2:
             return value, value
         i = int(np.clip(np.searchsorted(grid, value), 1, len(grid) - 1))
         below, above = float(grid[i - 1]), float(grid[i])
-        low = value * below / above if self.logarithmic else value - (above - below)
-        high = value * above / below if self.logarithmic else value + (above - below)
-        return max(low, min(self.low, value)), min(high, max(self.high, value))
+        low = value * below / above if self.has_logarithmic_grid else value - (above - below)
+        high = value * above / below if self.has_logarithmic_grid else value + (above - below)
+        return max(low, min(self.lower_bound, value)), min(high, max(self.upper_bound, value))
 
 
 class Linearisation(NamedTuple):
@@ -112,7 +115,7 @@ class Linearisation(NamedTuple):
 
 
 class Signature(Protocol):
-    """Change of the readings, linear in its parameters."""
+    """Effect on the readings, as a function that is linear in its parameters."""
 
     @property
     @abstractmethod
@@ -129,7 +132,7 @@ class Signature(Protocol):
         """Change (n, 3, p) of the raw readings (range [m], azimuth, elevation [rad]) per unit of each parameter."""
 
     @property
-    def spread(self) -> Floats:
+    def size_scales(self) -> Floats:
         """Plausible sizes (p,) of the parameters [SI]."""
         return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
 
@@ -143,13 +146,13 @@ class Signature(Protocol):
         """Names of the targets at which it acts; empty for all."""
         return ()
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         return self.design(sightings) @ values
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at parameter values (p,) [SI], with its derivatives."""
-        return Linearisation(self.shift(sightings, values), self.design(sightings))
+        return Linearisation(self.reading_change(sightings, values), self.design(sightings))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Change (g, p) of the reference lengths between targets `first` and `second` (g,) per unit of each parameter.
@@ -159,32 +162,32 @@ class Signature(Protocol):
         return np.zeros((len(first), len(self.parameters)))
 
     @property
-    def place(self) -> str:
+    def place_text(self) -> str:
         """Names of the stations and targets at which it acts, separated by commas; empty for everywhere."""
         return ",".join(self.stations + self.targets)
 
-    def mask(self, sightings: Sightings) -> Floats:
+    def row_weights(self, sightings: Sightings) -> Floats:
         """Weights (n,): 1 for pointings on which it acts, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
-            acts &= _among(sightings.station, sightings.station_ids, self.stations)
+            acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
         if self.targets:
-            acts &= _among(sightings.target, sightings.target_ids, self.targets)
+            acts &= _is_any_of(sightings.target, sightings.target_indices, self.targets)
         return acts.astype(np.float64)
 
 
-def _among(values: Ints, places: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
+def _is_any_of(name_indices: Ints, allowed_names: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
     """Flags (n,) of the values that have one of a few names; the test for a single name is much faster."""
-    ids = [i for name in names for i in places.get(name, ())]
-    return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
+    ids = [i for name in names for i in allowed_names.get(name, ())]
+    return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
-class Tunable(Signature, Protocol):
-    """Signature with adjustable constants, which a search compares with other candidates."""
+class CandidateEffect(Signature, Protocol):
+    """Signature with adjustable shape constants, which a search compares with other candidates."""
 
-    shape: ClassVar[tuple[ShapeParameter, ...]] = ()
+    shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
-    ways: ClassVar[int] = 1
+    n_neighbour_directions: ClassVar[int] = 1
     """Number of independent directions in which `finer` varies the constants."""
 
     @property
@@ -197,7 +200,7 @@ class Tunable(Signature, Protocol):
     def covariates(self) -> tuple[str, ...]:
         """Covariates that the signature depends on."""
 
-    def finer(self, sightings: Sightings) -> Sequence[Self]:
+    def neighbours(self, sightings: Sightings) -> Sequence[Self]:
         """Neighbouring candidates that a first search omits; tried once this one is significant."""
         return ()
 
@@ -215,15 +218,15 @@ class Tunable(Signature, Protocol):
         """Copy with another region of the hall."""
         return self
 
-    def reshaped(self, **constants: Any) -> Self:
+    def with_constants(self, **constants: Any) -> Self:
         """Copy with other constants, which are fields of the dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]
 
 
-class NoiseSignature(Tunable, Protocol):
+class NoiseSignature(CandidateEffect, Protocol):
     """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
-    least: ClassVar[float] = 0.0
+    min_relative_size: ClassVar[float] = 0.0
     """Smallest value of a parameter in units of its prior sigma; most causes only add noise."""
 
     @abstractmethod
@@ -237,14 +240,16 @@ class NoiseSignature(Tunable, Protocol):
         """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
         count = len(self.parameters)
         subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
-        return [tuple(size * subset * self.spread) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
+        return [
+            tuple(size * subset * self.size_scales) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)
+        ]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change of the mean: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
-def on_readings(
+def design_from_front_face_corrections(
     sightings: Sightings,
     *,
     distance: Floats | float = 0.0,
@@ -264,17 +269,17 @@ def on_readings(
     return design
 
 
-def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
+def design_from_displacements(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3, p) of the raw readings by displacements (n, 3, p) [m] of the targets in the network frame."""
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
-        return sightings.by_target @ displacement
+        return sightings.target_derivatives @ displacement
     change = np.zeros(displacement.shape)
-    change[acts] = sightings.by_target[acts] @ displacement[acts]
+    change[acts] = sightings.target_derivatives[acts] @ displacement[acts]
     return change
 
 
-def constants_of(effect: Tunable) -> int:
+def n_constants(effect: CandidateEffect) -> int:
     """Number of constants of an effect: its parameters, and the constants of its shape and place."""
     constants = (value for name, value in vars(effect).items() if name != "coarse")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))

@@ -4,10 +4,11 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, by_displacement
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_displacements
 from ltsim.scene.sightings import Sightings
 
-UP = np.array([0.0, 0.0, 1.0])
+VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
@@ -16,10 +17,10 @@ def reflector_axes(sightings: Sightings) -> Floats:
     The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
     normal.
     """
-    normal = sightings.nest_normal[sightings.target]
-    turned = sightings.reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
-    axial = np.where(turned[:, None], -sightings.unit_vectors[0], normal)
-    side = np.cross(UP, axial)
+    normal = sightings.nest_normals[sightings.target]
+    turned = sightings.is_reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
+    axial = np.where(turned[:, None], -sightings.beam_vectors[0], normal)
+    side = np.cross(VERTICAL, axial)
     flat = np.linalg.norm(side, axis=1) < 1e-6
     side[flat] = [1.0, 0.0, 0.0]
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -45,10 +46,10 @@ class SmrCentring(Effect):
     """
 
     name = "smr-centring"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("incidence", "place")
     scope = "target"
-    plural = True
+    may_recur = True
     parameters = (
         Parameter("vertex-axial", "um", "vertex outwards of the centre, along the open face", 15 * MICROMETRE),
         Parameter("vertex-side", "um", "vertex to the side, horizontally", 15 * MICROMETRE),
@@ -61,4 +62,6 @@ class SmrCentring(Effect):
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:
-        return by_displacement(sightings, reflector_axes(sightings) * self.mask(sightings)[:, None, None])
+        return design_from_displacements(
+            sightings, reflector_axes(sightings) * self.row_weights(sightings)[:, None, None]
+        )

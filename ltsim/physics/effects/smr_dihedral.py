@@ -2,7 +2,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 
@@ -22,17 +22,17 @@ class SmrDihedral(Effect):
     """
 
     name = "smr-dihedral"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     observables = ("azimuth", "elevation")
     covariates = ("distance", "place")
     scope = "target"
-    plural = True
+    may_recur = True
     parameters = (
         Parameter("spot-left", "urad", "correction of the direction to the left", 3 * MICRORADIAN),
         Parameter("spot-up", "urad", "correction of the direction upwards", 3 * MICRORADIAN),
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.mask(sightings)
-        lateral = on_readings(sightings, azimuth=acts / np.cos(sightings.elevation))
-        return np.stack([lateral, on_readings(sightings, elevation=acts)], axis=2)
+        acts = self.row_weights(sightings)
+        lateral = design_from_front_face_corrections(sightings, azimuth=acts / np.cos(sightings.elevation))
+        return np.stack([lateral, design_from_front_face_corrections(sightings, elevation=acts)], axis=2)

@@ -7,38 +7,48 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
-EDGE = 30.0 * DEGREE
-PAPER_TABLE = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
+MAX_INCIDENCE = 30.0 * DEGREE
+"""Largest incidence angle [rad] of the table."""
+PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
-KNOTS = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
+KNOT_ANGLES = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
 """Angles (4,) [rad] at which the slope of the error may change: those of the table from normal incidence outwards."""
-EVEN, ODD = 1.5 * MICROMETRE, 0.6 * MICROMETRE
-"""Standard deviations [m] of a change of slope, as its contribution to the error at the next knot, in the even part and
-in each odd part. At the edge the parts have standard deviations of 8.2 um and 3.3 um; in the paper's table they are 7.7
-um and 2.4 um.
-"""
-THREEFOLD = 5 * MICROMETRE
-PARTS = ("even", "cos", "sin")
-_MEANINGS = ("alike on all sides", "to the horizontal side, opposite on the other", "to the upper side, opposite below")
+EVEN_SLOPE_SIGMA = 1.5 * MICROMETRE
+"""Prior standard deviation [m] of a change of slope in the even part of the error, as its contribution to the error at
+the next knot. At the edge the even part has a standard deviation of 8.2 um; in the paper's table it is 7.7 um."""
+ODD_SLOPE_SIGMA = 0.6 * MICROMETRE
+"""Prior standard deviation [m] of a change of slope in each odd part of the error, as its contribution to the error at
+the next knot. At the edge an odd part has a standard deviation of 3.3 um; in the paper's table it is 2.4 um."""
+THREEFOLD_SIGMA = 5 * MICROMETRE
+"""Prior standard deviation [m] of the threefold part, which repeats with the three mirrors."""
+AZIMUTHAL_PARTS = ("even", "cos", "sin")
+"""Parts of the error by their dependence on the direction of incidence."""
+_PART_DESCRIPTIONS = (
+    "alike on all sides",
+    "to the horizontal side, opposite on the other",
+    "to the upper side, opposite below",
+)
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
     """Parameters of the three parts of the error, each a ramp from a knot to its size at 30 deg."""
-    steps = range(len(KNOTS), 0, -1)
+    steps = range(len(KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
-        for part, meaning, bend in zip(PARTS, _MEANINGS, (EVEN, ODD, ODD), strict=True)
-        for number, knot, step in zip(("first", "second", "third", "fourth"), KNOTS / DEGREE, steps, strict=True)
+        for part, meaning, bend in zip(
+            AZIMUTHAL_PARTS, _PART_DESCRIPTIONS, (EVEN_SLOPE_SIGMA, ODD_SLOPE_SIGMA, ODD_SLOPE_SIGMA), strict=True
+        )
+        for number, knot, step in zip(("first", "second", "third", "fourth"), KNOT_ANGLES / DEGREE, steps, strict=True)
     )
 
 
-def _ramps(incidence: Floats) -> Floats:
+def _ramp_values(incidence: Floats) -> Floats:
     """Ramps (n, 4) at incidence (n,) [rad]: 0 up to each knot, 1 from 30 deg on."""
-    return np.clip((incidence[:, None] - KNOTS) / (EDGE - KNOTS), 0.0, 1.0)
+    return np.clip((incidence[:, None] - KNOT_ANGLES) / (MAX_INCIDENCE - KNOT_ANGLES), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -71,13 +81,13 @@ class SmrIncidence(Effect):
     """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
 
     name: ClassVar[str] = "smr-incidence"
-    stage: ClassVar[Stage] = Stage.TARGET
+    stage: ClassVar[LightPathStage] = LightPathStage.TARGET
     observables: ClassVar[tuple[str, ...]] = ("distance",)
     covariates: ClassVar[tuple[str, ...]] = ("incidence",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         *_ramp_parameters(),
-        Parameter("threefold-cos", "um", "of the three mirrors, cosine, its size at 30 deg", THREEFOLD),
-        Parameter("threefold-sin", "um", "of the three mirrors, sine, its size at 30 deg", THREEFOLD),
+        Parameter("threefold-cos", "um", "of the three mirrors, cosine, its size at 30 deg", THREEFOLD_SIGMA),
+        Parameter("threefold-sin", "um", "of the three mirrors, sine, its size at 30 deg", THREEFOLD_SIGMA),
     )
 
     def __post_init__(self) -> None:
@@ -85,42 +95,47 @@ class SmrIncidence(Effect):
             raise ModelError(f"smr-incidence.table has {len(self.table)} values, expected {len(TABLE_ANGLES)}")
 
     @classmethod
-    def terms(cls, incidence: Floats, direction: Floats) -> Floats:
+    def error_derivatives(cls, incidence: Floats, direction: Floats) -> Floats:
         """Derivative (n, 14) of the range error (reading - truth) with respect to minus each parameter.
 
         Incidence and direction are (n,) [rad].
         """
-        ramps, cubed = _ramps(incidence), (np.sin(np.minimum(incidence, EDGE)) / np.sin(EDGE)) ** 3
+        ramps, cubed = (
+            _ramp_values(incidence),
+            (np.sin(np.minimum(incidence, MAX_INCIDENCE)) / np.sin(MAX_INCIDENCE)) ** 3,
+        )
         once = np.exp(1j * direction[:, None])
         thrice = cubed[:, None] * once**3
         around = ramps * once.real, ramps * once.imag, thrice.real, thrice.imag
         return np.concatenate([ramps, *around], axis=1)
 
     @cached_property
-    def values_of_table(self) -> Floats:
+    def parameters_from_table(self) -> Floats:
         """Parameters (14,) [m] that correspond to the table; they are corrections like all parameters."""
         if not self.table:
             return np.zeros(len(self.parameters))
         middle = len(TABLE_ANGLES) // 2
         upper = np.array(self.table[middle + 1 :]) - self.table[middle]
         lower = np.array(self.table[:middle][::-1]) - self.table[middle]
-        at_knots = _ramps(np.append(KNOTS[1:], EDGE))
+        at_knots = _ramp_values(np.append(KNOT_ANGLES[1:], MAX_INCIDENCE))
         even, odd = np.linalg.solve(at_knots, 0.5 * np.stack([upper + lower, upper - lower], axis=1)).T
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)
         return -np.concatenate([even, *odds, np.zeros(2)])
 
-    def incidence(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def incidence_angles(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Incidence angle and its direction, each (n,) [rad]; 0 for a re-aimed reflector and for an unknown nest."""
-        fixed = ~sightings.reaimed[sightings.target] & np.isfinite(sightings.incidence)
+        fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence)
         angle = np.where(fixed, sightings.incidence, 0.0)
         direction = np.where(fixed, sightings.incidence_direction, 0.0)
         return angle, direction
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.mask(sightings)[:, None]
-        return on_readings(sightings, distance=acts * self.terms(*self.incidence(sightings)))
+        acts = self.row_weights(sightings)[:, None]
+        return design_from_front_face_corrections(
+            sightings, distance=acts * self.error_derivatives(*self.incidence_angles(sightings))
+        )
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by the table and the parameters."""
-        change: Floats = self.design(sightings) @ (self.values_of_table + values)
+        change: Floats = self.design(sightings) @ (self.parameters_from_table + values)
         return change

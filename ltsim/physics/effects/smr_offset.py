@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetMotion
 from ltsim.scene.sightings import Sightings
 
@@ -24,7 +24,7 @@ class SmrOffset(TargetMotion):
     """
 
     name = "smr-offset"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
     parameters = (Parameter("radius-difference", "mm", "radius of the SMR minus the declared radius", 5 * MILLIMETRE),)
@@ -32,9 +32,9 @@ class SmrOffset(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every station, if nests are known."""
-        has_normals = np.isfinite(sightings.nest_normal).all(axis=1).any()
+        has_normals = np.isfinite(sightings.nest_normals).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if has_normals else []
 
     def displacement(self, sightings: Sightings) -> Floats:
-        normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-        return (normal * self.mask(sightings)[:, None])[:, :, None]
+        normal = np.nan_to_num(sightings.nest_normals[sightings.target])
+        return (normal * self.row_weights(sightings)[:, None])[:, :, None]

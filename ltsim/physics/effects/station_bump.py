@@ -5,9 +5,9 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Stage, along_axes
+from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import StationMotion
-from ltsim.physics.effects.places import gaps_near, station_change_times
+from ltsim.physics.effects.places import neighbouring_gap_times, station_change_times
 from ltsim.scene.sightings import Sightings
 
 
@@ -27,25 +27,26 @@ class StationBump(StationMotion):
     """
 
     time: float = 0.0
+    """Time [s] of the bump."""
 
     name = "station-bump"
-    stage = Stage.STATION
+    stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = (
-        *along_axes("shift", "um", "motion of the station along", 100 * MICROMETRE),
-        *along_axes("turn", "urad", "rotation of the station about", 50 * MICRORADIAN),
+        *axis_parameters("shift", "um", "motion of the station along", 100 * MICROMETRE),
+        *axis_parameters("turn", "urad", "rotation of the station about", 50 * MICRORADIAN),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates at every gap of a visit with three pointings on either side."""
-        return [cls((name,), time=time) for name, time in station_change_times(sightings, least=3)]
+        return [cls((name,), time=time) for name, time in station_change_times(sightings, min_pointings=3)]
 
-    def finer(self, sightings: Sightings) -> list[Self]:
+    def neighbours(self, sightings: Sightings) -> list[Self]:
         """Bumps in the neighbouring gaps between pointings."""
-        times = sightings.time[self.mask(sightings) > 0]
-        return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
+        times = sightings.time[self.row_weights(sightings) > 0]
+        return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        return (self.mask(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)
+        return (self.row_weights(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)

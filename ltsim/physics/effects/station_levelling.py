@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICRORADIAN
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
@@ -25,7 +25,7 @@ class StationLevelling(StationMotion):
     """
 
     name = "station-levelling"
-    stage = Stage.STATION
+    stage = LightPathStage.STATION
     observables = ("azimuth", "elevation")
     covariates = ("place",)
     scope = "station"
@@ -40,5 +40,5 @@ class StationLevelling(StationMotion):
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        axes = sightings.rotation[sightings.station][:, :, :2] * self.mask(sightings)[:, None, None]
+        axes = sightings.station_rotations[sightings.station][:, :, :2] * self.row_weights(sightings)[:, None, None]
         return np.concatenate([np.zeros_like(axes), axes], axis=1)

@@ -15,6 +15,6 @@ class StationNoise(NoiseLevel):
     """
 
     name = "station-noise"
-    least = 0.0
+    min_relative_size = 0.0
     covariates = ("place",)
     scope = "station"

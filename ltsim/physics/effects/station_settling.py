@@ -4,11 +4,11 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
-MOVES = [3, 4, 2]
+MOTION_COMPONENTS = [3, 4, 2]
 """Components of a station's motion that settle: rotation about x, about y, translation along z."""
 
 
@@ -32,7 +32,7 @@ class StationSettling(StationMotion):
     time_constant: float = 600.0
 
     name = "station-settling"
-    stage = Stage.STATION
+    stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = (
@@ -40,12 +40,18 @@ class StationSettling(StationMotion):
         Parameter("tilt-y", "urad", "final rotation of the station about the network's y axis", 15 * MICRORADIAN),
         Parameter("rise", "um", "final rise of the station", 20 * MICROMETRE),
     )
-    shape = (
+    shape_parameters = (
         ShapeParameter(
-            "time_constant", "min", "time constant after the set-up", 120.0, 2400.0, logarithmic=True, steps=5
+            "time_constant",
+            "min",
+            "time constant after the set-up",
+            120.0,
+            2400.0,
+            has_logarithmic_grid=True,
+            n_grid_values=5,
         ),
     )
 
     def motion(self, sightings: Sightings) -> Floats:
-        settled = self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
-        return settled[:, None, None] * np.eye(6)[:, MOVES]
+        settled = self.row_weights(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
+        return settled[:, None, None] * np.eye(6)[:, MOTION_COMPONENTS]

@@ -1,6 +1,6 @@
 from ltsim.core.arrays import Floats
 from ltsim.core.units import PPM
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 
@@ -19,11 +19,13 @@ class StationWeather(Effect):
     """
 
     name = "station-weather"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("distance",)
     scope = "station"
     parameters = (Parameter("station-weather", "ppm", "fraction missing from every range of the station", 5 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
-        return on_readings(sightings, distance=self.mask(sightings) * sightings.range_)[:, :, None]
+        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * sightings.range_)[
+            :, :, None
+        ]

@@ -4,14 +4,18 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR, MICROMETRE
-from ltsim.physics.effects.effect import Stage, along_axes
+from ltsim.core.units import MICROMETRE, SI_PER_UNIT
+from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetMotion
-from ltsim.physics.effects.places import gaps_near, start_time, visit_change_times
+from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, visit_change_times
 from ltsim.scene.sightings import Sightings
 
-MAX_STEPS = 8
-STEP, RATE = 60 * MICROMETRE, 40 * FACTOR["um/h"]
+MAX_STEP_TIMES = 8
+"""Largest number of times per target at which a search tries a step."""
+PLAUSIBLE_STEP = 60 * MICROMETRE
+"""Plausible sudden displacement [m] of a target."""
+PLAUSIBLE_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
+"""Plausible rate of creep [m/s] of a target."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +35,20 @@ class TargetMoved(TargetMotion):
     """
 
     time: float = 0.0
+    """Time [s] of the step, or of the start of the creep."""
     kind: Literal["step", "creep"] = "step"
+    """Kind of the motion: sudden step, or gradual creep."""
 
     name = "target-moved"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("time",)
     scope = "target"
-    plural = True
-    parameters = along_axes("moved", "um", "motion of the target along", STEP)
+    may_recur = True
+    parameters = axis_parameters("moved", "um", "motion of the target along", PLAUSIBLE_STEP)
 
     def __post_init__(self) -> None:
         if self.kind == "creep":
-            rates = along_axes("creep", "um/h", "speed of the target along", RATE)
+            rates = axis_parameters("creep", "um/h", "speed of the target along", PLAUSIBLE_CREEP_RATE)
             object.__setattr__(self, "parameters", rates)
 
     @classmethod
@@ -50,16 +56,20 @@ class TargetMoved(TargetMotion):
         """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = visit_change_times(sightings, t, most=MAX_STEPS)
+            steps = visit_change_times(sightings, t, max_times=MAX_STEP_TIMES)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates
 
-    def finer(self, sightings: Sightings) -> list[Self]:
+    def neighbours(self, sightings: Sightings) -> list[Self]:
         """Steps in neighbouring gaps between pointings, including gaps within the visits of a station."""
-        times = sightings.time[self.mask(sightings) > 0]
-        return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
+        times = sightings.time[self.row_weights(sightings) > 0]
+        return (
+            [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
+            if self.kind == "step"
+            else []
+        )
 
     def displacement(self, sightings: Sightings) -> Floats:
-        made = sightings.time >= self.time if self.kind == "step" else sightings.time - start_time(sightings)
-        return (self.mask(sightings) * made)[:, None, None] * np.eye(3)
+        made = sightings.time >= self.time if self.kind == "step" else sightings.time - first_pointing_time(sightings)
+        return (self.row_weights(sightings) * made)[:, None, None] * np.eye(3)

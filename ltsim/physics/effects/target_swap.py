@@ -5,12 +5,12 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Mistake, Parameter, Stage
+from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.scene.sightings import Sightings
 
 
-class TargetSwap(Mistake):
+class TargetSwap(Blunder):
     """Swapped targets: at one station two reflectors have each other's name.
 
     The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
@@ -25,30 +25,30 @@ class TargetSwap(Mistake):
     """
 
     name = "target-swap"
-    stage = Stage.ELECTRONICS
+    stage = LightPathStage.ELECTRONICS
     covariates = ("place",)
     scope = "pointing"
     parameters = (Parameter("swapped", "", "1 for exchanged targets", 1.0),)
 
     @classmethod
-    def possible(cls, sightings: Sightings) -> list[Self]:
+    def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every pair of targets at every station."""
         pairs = list(combinations(sightings.target_names, 2))
         return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
 
-    def done(self, sightings: Sightings) -> Sightings:
+    def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings in which the two targets are exchanged."""
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)
         other = np.where(sightings.target == a, b, a)
-        return replace(sightings, target=np.where(self.mask(sightings) > 0, other, sightings.target))
+        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, other, sightings.target))
 
     def design(self, sightings: Sightings) -> Floats:
         if len(self.targets) != 2:
             return np.zeros((len(sightings), 3, 1))
         a, b = (sightings.target_names.index(name) for name in self.targets)
         partner = np.where(sightings.target == a, b, a)
-        gap = sightings.points[partner] - sightings.points[sightings.target]
-        acts = self.mask(sightings)[:, None]
+        gap = sightings.target_points[partner] - sightings.target_points[sightings.target]
+        acts = self.row_weights(sightings)[:, None]
         return exact_target_change(sightings, gap * acts)[:, :, None]

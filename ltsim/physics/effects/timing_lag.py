@@ -1,16 +1,16 @@
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 
-def approach_rate(sightings: Sightings) -> Floats:
+def reading_rates(sightings: Sightings) -> Floats:
     """Mean rate (n, 3) of the raw readings [m/s, rad/s] since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
-    lapse = sightings.time - sightings.time[sightings.previous]
-    going = (sightings.previous >= 0) & (lapse > 0)
-    rate[going] = sightings.move[going] / lapse[going, None]
+    lapse = sightings.time - sightings.time[sightings.previous_rows]
+    going = (sightings.previous_rows >= 0) & (lapse > 0)
+    rate[going] = sightings.reading_changes[going] / lapse[going, None]
     return rate
 
 
@@ -30,7 +30,7 @@ class TimingLag(Effect):
     """
 
     name = "timing-lag"
-    stage = Stage.ELECTRONICS
+    stage = LightPathStage.ELECTRONICS
     covariates = ("time", "approach")
     parameters = (
         Parameter("lag-distance", "ms", "delay of the range", 0.3e-3),
@@ -39,5 +39,5 @@ class TimingLag(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        late = approach_rate(sightings) * self.mask(sightings)[:, None]
+        late = reading_rates(sightings) * self.row_weights(sightings)[:, None]
         return -late[:, :, None] * np.eye(3)

@@ -1,5 +1,5 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class TransitOffset(SlotEffect):
@@ -17,9 +17,9 @@ class TransitOffset(SlotEffect):
     """
 
     name = "transit-offset"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     observables = ("distance", "elevation")
     parameters = (
         Parameter("transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"),
     )
-    terms = (Term("transit-offset"),)
+    terms = (SlotTerm("transit-offset"),)

@@ -1,5 +1,5 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class TransitTilt(SlotEffect):
@@ -18,9 +18,9 @@ class TransitTilt(SlotEffect):
     """
 
     name = "transit-tilt"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     observables = ("azimuth",)
     parameters = (
         Parameter("transit-tilt", "urad", "transit axis not square to the standing axis", 3 * ARCSECOND, "angle"),
     )
-    terms = (Term("transit-tilt"),)
+    terms = (SlotTerm("transit-tilt"),)

@@ -2,7 +2,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import NoiseEffect, Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, NoiseEffect, Parameter
 from ltsim.scene.sightings import Sightings
 
 
@@ -21,7 +21,7 @@ class Turbulence(NoiseEffect):
     """
 
     name = "turbulence"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     covariates = ("distance",)
     parameters = (
         Parameter("turbulence-across", "um2/m3", "variance across the beam / cube of the range", 9 * MICROMETRE**2),
@@ -29,7 +29,7 @@ class Turbulence(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        range_, acts = sightings.range_, self.mask(sightings)
+        range_, acts = sightings.range_, self.row_weights(sightings)
         across = values[0] * range_  # C d^3 over d^2: an angle
         added = np.stack([values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)
         return sigma**2 + acts[:, None] * added

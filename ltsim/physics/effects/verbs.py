@@ -6,31 +6,34 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Columns, Result
-from ltsim.core.units import FACTOR
+from ltsim.core.results import ColumnValues, Result
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
 
-PLACES, COMMON = ("stations", "targets"), {f.name for f in dataclasses.fields(AnyEffect)}
-SIMULATION_FACTOR = 100.0
+PLACE_FIELDS = ("stations", "targets")
+"""Fields of an effect that hold its places."""
+COMMON_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
+"""Fields that every effect has; the others are its constants."""
+MAX_SIMULATED_BOUND_RATIO = 100.0
 """Factor beyond the bounds of a search up to which a length or time constant may be simulated."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Sized:
-    """Effect with the sizes with which it is simulated or injected."""
+class SizedEffect:
+    """Effect with the values of its parameters, as it is simulated or injected."""
 
     effect: AnyEffect
-    sizes: Mapping[str, float]
+    parameter_values: Mapping[str, float]
     """Values of the parameters by name, in units of display."""
 
 
-S = TypeVar("S", bound=Signature | Sized)
+S = TypeVar("S", bound=Signature | SizedEffect)
 
 
 def Effect(  # noqa: N802 - it stands for a class of the catalogue
     name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
-) -> AnyEffect | Sized:
+) -> AnyEffect | SizedEffect:
     """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.
 
     Parameters
@@ -60,39 +63,39 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     >>> lt.Effect("index-drift", stations="S3", law="visit").stations
     ('S3',)
     """
-    places = dict(zip(PLACES, (names(stations), names(targets)), strict=True))
+    places = dict(zip(PLACE_FIELDS, (name_tuple(stations), name_tuple(targets)), strict=True))
     given = {key.replace("_", "-"): key for key in constants}
     sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
     sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
-    effect = effect_from(name, places, constants)
-    return Sized(effect, sizes) if sizes else effect
+    effect = make_effect(name, places, constants)
+    return SizedEffect(effect, sizes) if sizes else effect
 
 
-def names(given: str | Sequence[str]) -> tuple[str, ...]:
+def name_tuple(name_or_names: str | Sequence[str]) -> tuple[str, ...]:
     """Names as a tuple, where a single name may be given without a list."""
-    return (given,) if isinstance(given, str) else tuple(given)
+    return (name_or_names,) if isinstance(name_or_names, str) else tuple(name_or_names)
 
 
-def each_of(given: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
+def effect_tuple(effect_or_effects: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
     """Effects (names or objects) as a tuple, where a single one may be given without a list."""
-    alone = isinstance(given, str) or not isinstance(given, Sequence)
-    return (cast("str | S", given),) if alone else tuple(cast("Sequence[str | S]", given))
+    alone = isinstance(effect_or_effects, str) or not isinstance(effect_or_effects, Sequence)
+    return (cast("str | S", effect_or_effects),) if alone else tuple(cast("Sequence[str | S]", effect_or_effects))
 
 
-def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
+def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
     """Effect of the catalogue with its places and constants (in units of display if declared, otherwise SI).
 
     Raises ModelError for an unknown effect or constant, and for an invalid value.
     """
     kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON}
-    units = {s.name: FACTOR[s.unit] for s in kind.shape}
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_FIELDS}
+    units = {s.name: SI_PER_UNIT[s.unit] for s in kind.shape_parameters}
     constants: dict[str, Any] = {}
     for key, value in shape.items():
         if key not in fields:
             names, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
             raise ModelError(f"{name} has no constant called '{key}'; constants: {names}; sizes, where drawn: {sizes}")
-        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+        constants[key] = _constant_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
     effect = kind(**{**places, **constants})
     _check_constants(effect)
     return effect
@@ -108,15 +111,19 @@ def _check_constants(effect: AnyEffect) -> None:
         choices, value = get_args(hints[field.name]), getattr(effect, field.name)
         if get_origin(hints[field.name]) is Literal and value not in choices:
             raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
-    for shape in effect.shape:
-        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
-        low, high = shape.low / SIMULATION_FACTOR, shape.high * SIMULATION_FACTOR
-        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
+    for shape in effect.shape_parameters:
+        value, unit = getattr(effect, shape.name), SI_PER_UNIT[shape.unit]
+        low, high = shape.lower_bound / MAX_SIMULATED_BOUND_RATIO, shape.upper_bound * MAX_SIMULATED_BOUND_RATIO
+        if (
+            isinstance(value, float)
+            and (shape.has_logarithmic_grid or shape.has_reciprocal_grid)
+            and not low <= value <= high
+        ):
             bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
             raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
 
 
-def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
+def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
     """Constant in SI, converted to the type of its default."""
     if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
         raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
@@ -127,42 +134,42 @@ def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
     return value * unit if isinstance(default, float) else value
 
 
-def shape_of(effect: AnyEffect) -> dict[str, Any]:
-    """Constants of an effect, in the form that `effect_from` takes."""
-    units = {s.name: FACTOR[s.unit] for s in effect.shape}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON]
+def display_constants(effect: AnyEffect) -> dict[str, Any]:
+    """Constants of an effect, in the form that `make_effect` takes."""
+    units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_FIELDS]
     values = {name: getattr(effect, name) for name in names}
     return {name: value / units[name] if name in units else value for name, value in values.items()}
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class EffectList(Result):
-    """List of effects of the catalogue; `effects` holds their classes."""
+    """List of effects of the catalogue; `effect_classes` holds their classes."""
 
-    effects: tuple[type[AnyEffect], ...]
+    effect_classes: tuple[type[AnyEffect], ...]
 
     def _lines(self) -> list[str]:
-        return [f"{effect.name}: {_meaning(effect)}" for effect in self.effects]
+        return [f"{effect.name}: {_summary_sentence(effect)}" for effect in self.effect_classes]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"effects": self._effects, "parameters": self._parameters}
+    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
+        return {"effects": self._effects_table, "parameters": self._parameters_table}
 
-    def _effects(self) -> Columns:
+    def _effects_table(self) -> ColumnValues:
         return {
-            "effect": [e.name for e in self.effects],
-            "observables": [", ".join(e.observables) for e in self.effects],
-            "scope": [str(e.scope) for e in self.effects],
-            "meaning": [_meaning(e) for e in self.effects],
+            "effect": [e.name for e in self.effect_classes],
+            "observables": [", ".join(e.observables) for e in self.effect_classes],
+            "scope": [str(e.scope) for e in self.effect_classes],
+            "meaning": [_summary_sentence(e) for e in self.effect_classes],
         }
 
-    def _parameters(self) -> Columns:
-        listed = [(e, p) for e in self.effects for p in e.parameters]
+    def _parameters_table(self) -> ColumnValues:
+        listed = [(e, p) for e in self.effect_classes for p in e.parameters]
         return {
             "effect": [e.name for e, _ in listed],
             "parameter": [p.name for _, p in listed],
-            "plausible_size": [p.prior_sigma / p.factor for _, p in listed],
+            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in listed],
             "unit": [p.unit for _, p in listed],
-            "meaning": [p.meaning for _, p in listed],
+            "meaning": [p.description for _, p in listed],
         }
 
 
@@ -189,11 +196,11 @@ def catalogue(*names: str) -> EffectList:
     return EffectList(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
 
 
-def _meaning(effect: type[AnyEffect]) -> str:
-    return (inspect.getdoc(effect) or "").partition("\n")[0]
+def _summary_sentence(effect_class: type[AnyEffect]) -> str:
+    return (inspect.getdoc(effect_class) or "").partition("\n")[0]
 
 
-def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
+def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     """Registration of a user-defined effect for this session; also a decorator of its class.
 
     Afterwards its name is valid in scenarios, in `with_effects`, in campaigns (including their worker processes) and in
@@ -201,7 +208,7 @@ def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
 
     Parameters
     ----------
-    kind : type of Effect
+    effect_class : type of Effect
         With a name, a stage, parameters and `design`.
 
     Raises
@@ -220,4 +227,4 @@ def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
     Traceback (most recent call last):
     ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is not a class derived from lt.Effect
     """
-    return CATALOGUE.add(kind)
+    return CATALOGUE.add(effect_class)

@@ -1,5 +1,5 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
 class VerticalIndex(SlotEffect):
@@ -17,7 +17,7 @@ class VerticalIndex(SlotEffect):
     """
 
     name = "vertical-index"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = (Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),)
-    terms = (Term("elevation"),)
+    terms = (SlotTerm("elevation"),)

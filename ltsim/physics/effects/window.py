@@ -5,21 +5,22 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetMotion
 from ltsim.scene.sightings import Sightings
 
-INDEX = 1.5
-SHARES = (0.25, 0.12)
+GLASS_REFRACTIVE_INDEX = 1.5
+"""Refractive index of glass."""
+SEQUENCE_FRACTIONS = (0.25, 0.12)
 """Lengths of the sequences of targets that are tried, as fractions of a station's targets."""
-TURNS = (-0.15, -0.05, 0.05, 0.15)
+PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a pane in the refinement."""
 
 
-def _around(sightings: Sightings, station: str) -> list[int]:
+def _targets_by_azimuth(sightings: Sightings, station: str) -> list[int]:
     """Targets that a station measured, in the order of their azimuths."""
     s = sightings.station_names.index(station)
-    arm = sightings.points - sightings.position[s]
+    arm = sightings.target_points - sightings.station_positions[s]
     sighted = np.unique(sightings.target[sightings.station == s])
     return [int(t) for t in sighted[np.argsort(np.arctan2(arm[sighted, 1], arm[sighted, 0]))]]
 
@@ -39,58 +40,61 @@ class Window(TargetMotion):
     Status: validated against the numbers above.
     """
 
-    normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pane_normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     name = "window"
-    stage = Stage.AIR
+    stage = LightPathStage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"
-    ways = 2
-    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, positive=True),)
+    n_neighbour_directions = 2
+    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, is_positive=True),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates: upright panes at every station, in front of sequences of targets ordered by azimuth."""
         candidates = []
         for station in sightings.station_names:
-            order = _around(sightings, station)
-            for share in SHARES:
+            order = _targets_by_azimuth(sightings, station)
+            for share in SEQUENCE_FRACTIONS:
                 length = max(2, round(share * len(order)))
                 for first in range(0, len(order), max(1, length // 2)):
                     block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
-                    candidates += cls._across(sightings, station, block)
+                    candidates += cls._perpendicular_pane(sightings, station, block)
         return candidates
 
     @classmethod
-    def _across(cls, sightings: Sightings, station: str, block: list[int]) -> list[Self]:
+    def _perpendicular_pane(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
         """Pane perpendicular to the middle of a sequence of targets; empty if the middle is undefined."""
-        arm = sightings.points[block] - sightings.position[sightings.station_names.index(station)]
+        arm = (
+            sightings.target_points[target_sequence]
+            - sightings.station_positions[sightings.station_names.index(station)]
+        )
         across = arm[:, :2].sum(axis=0)
-        if len(block) < 2 or not np.linalg.norm(across) > 0:
+        if len(target_sequence) < 2 or not np.linalg.norm(across) > 0:
             return []
         x, y = (float(v) for v in across / np.linalg.norm(across))
-        return [cls((station,), tuple(sightings.target_names[t] for t in sorted(block)), (x, y, 0.0))]
+        return [cls((station,), tuple(sightings.target_names[t] for t in sorted(target_sequence)), (x, y, 0.0))]
 
-    def finer(self, sightings: Sightings) -> list[Self]:
+    def neighbours(self, sightings: Sightings) -> list[Self]:
         """Neighbouring candidates: one target more or less at either end of the sequence; the pane slightly rotated."""
-        order = _around(sightings, self.stations[0])
+        order = _targets_by_azimuth(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]
         windows: list[Self] = []
         for k, t in enumerate(order):
             at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
             if at_edge:
-                windows += self._across(sightings, self.stations[0], sorted(behind ^ {t}))
-        x, y, _ = self.normal
-        turned = [np.arctan2(y, x) + angle for angle in TURNS]
-        return windows + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
+                windows += self._perpendicular_pane(sightings, self.stations[0], sorted(behind ^ {t}))
+        x, y, _ = self.pane_normal
+        turned = [np.arctan2(y, x) + angle for angle in PANE_ROTATIONS]
+        return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        beam = sightings.unit_vectors[0]
-        normal = np.broadcast_to(np.asarray(self.normal), beam.shape) if any(self.normal) else beam
+        beam = sightings.beam_vectors[0]
+        normal = np.broadcast_to(np.asarray(self.pane_normal), beam.shape) if any(self.pane_normal) else beam
         cosine = np.sum(beam * normal, axis=1)[:, None]
         normal, cosine = normal * np.sign(cosine), np.abs(cosine)
-        inside = np.sqrt(INDEX**2 - 1.0 + cosine**2)
+        inside = np.sqrt(GLASS_REFRACTIVE_INDEX**2 - 1.0 + cosine**2)
         longer = (inside - cosine) * beam
         aside = (1.0 - cosine / inside) * (cosine * beam - normal)
-        return ((longer + aside) * self.mask(sightings)[:, None])[:, :, None]
+        return ((longer + aside) * self.row_weights(sightings)[:, None])[:, :, None]

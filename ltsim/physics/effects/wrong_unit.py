@@ -5,16 +5,17 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import unknown_name
-from ltsim.physics.effects.effect import Mistake, Parameter, Stage
+from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
 from ltsim.scene.sightings import Sightings
 
-SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
+UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_ERRORS}
+"""Transcription errors of units and conventions, by name."""
 
 
 @dataclass(frozen=True)
-class WrongUnit(Mistake):
+class WrongUnit(Blunder):
     """Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
 
     The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the slips
@@ -30,35 +31,38 @@ class WrongUnit(Mistake):
     """
 
     mistake: str = "gon"
+    """Name of the wrong unit or convention."""
 
     name = "wrong-unit"
-    stage = Stage.ELECTRONICS
+    stage = LightPathStage.ELECTRONICS
     scope = "station"
     parameters = (Parameter("mistaken", "", "1 for a wrong unit", 1.0),)
 
     def __post_init__(self) -> None:
-        if self.mistake not in SLIPS:
-            raise unknown_name("slip", self.mistake, SLIPS)
-        object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.slip.columns))
+        if self.mistake not in UNIT_ERRORS_BY_NAME:
+            raise unknown_name("slip", self.mistake, UNIT_ERRORS_BY_NAME)
+        object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.columns))
 
     @property
-    def slip(self) -> TranscriptionError:
+    def transcription_error(self) -> TranscriptionError:
         """Transcription error of this blunder: the unit or convention that was written, and the expected one."""
-        return SLIPS[self.mistake]
+        return UNIT_ERRORS_BY_NAME[self.mistake]
 
     @classmethod
-    def at(cls, station: str) -> list[Self]:
+    def at_station(cls, station: str) -> list[Self]:
         """Blunders of every unit and convention at one station."""
-        return [cls((station,), mistake=name) for name in SLIPS]
+        return [cls((station,), mistake=name) for name in UNIT_ERRORS_BY_NAME]
 
     @classmethod
-    def possible(cls, sightings: Sightings) -> list[Self]:
+    def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every unit and convention at every station."""
-        return [effect for name in sightings.station_names for effect in cls.at(name)]
+        return [effect for name in sightings.station_names for effect in cls.at_station(name)]
 
-    def written(self, sightings: Sightings, readings: Floats) -> Floats:
+    def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) in the wrong unit."""
-        return np.where(self.mask(sightings)[:, None] > 0, self.slip.written(readings), readings)
+        return np.where(
+            self.row_weights(sightings)[:, None] > 0, self.transcription_error.with_error(readings), readings
+        )
 
     def design(self, sightings: Sightings) -> Floats:
-        return (self.written(sightings, sightings.raw) - sightings.raw)[:, :, None]
+        return (self.recorded_readings(sightings, sightings.raw_readings) - sightings.raw_readings)[:, :, None]

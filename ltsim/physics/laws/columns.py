@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from ltsim.core.arrays import Floats, Ints
 from ltsim.scene.sightings import Sightings
 
-CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
-MODES, LOW, FINE = 9, 4, 32
-"""Number of eigenfunctions of a smooth regressor: usual, as one of several, and in the refinement. At the shortest of
-its length scales the last one has a tenth to a third of the prior deviation of the first.
-"""
-EDGE = 1.25
+CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
+"""Names of the covariates that are angles on a full circle."""
+N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE = 9, 4, 32
+"""Number of eigenfunctions of a smooth regressor in the refinement. At the shortest of its length scales the last
+eigenfunction has a tenth to a third of the prior deviation of the first."""
+BASIS_HALF_WIDTH = 1.25
 """Half-width of the interval at whose ends all eigenfunctions are zero, relative to that of the covariate: a curve need
 not be zero at the ends of the covariate's range.
 """
-SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
+LENGTH_SCALES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_FACTOR: (0.6,), N_MODES_FINE: (0.07,)}
 """Length scales by number of eigenfunctions, in half-widths of the covariate's range; in radians on a circle."""
 MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings."""
-SIMPLE_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
+SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
     "cos": lambda x, k: np.cos(k * x),
@@ -47,7 +47,7 @@ SIMPLE_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
 """Functions of a covariate and a constant, from which short laws are formed."""
-HYSTERESIS = "hysteresis"
+PLAY_FUNCTION = "hysteresis"
 """Name of the function with hysteresis: of the values of a covariate in the order of measurement, and of half the width
 of its loop.
 """
@@ -55,113 +55,119 @@ ZERO_FRACTION = 0.02
 """Fraction of its largest value up to which an entry of a column counts as zero."""
 
 
-def has_zero(x: Floats) -> bool:
+def has_natural_zero(covariate: Floats) -> bool:
     """True for a quantity with a natural zero, such as a load.
 
     Another one, such as a temperature, is centred on its mean.
     """
-    return bool(np.nanmin(np.abs(x)) < ZERO_FRACTION * np.nanmax(np.abs(x)))
+    return bool(np.nanmin(np.abs(covariate)) < ZERO_FRACTION * np.nanmax(np.abs(covariate)))
 
 
-def unit_rms(column: Floats) -> Floats:
+def scaled_to_unit_rms(column: Floats) -> Floats:
     """A column (n, 1) with an rms of one."""
     size = float(np.sqrt(np.mean(column**2)))
     return column / size if size > 0 else column
 
 
-HARMONICS = 5
+N_HARMONICS = 5
 """Number of harmonics of a periodic function of any shape."""
 
 
-def fourier_columns(phase: Floats, count: int) -> Floats:
+def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
     """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
-    return np.sqrt(2.0) * _turns(phase, count).view(np.float64)
+    return np.sqrt(2.0) * _unit_phasors(phase, n_harmonics).view(np.float64)
 
 
-def _turns(phase: Floats, count: int) -> NDArray[np.complex128]:
+def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
     """Unit complex numbers (n, count) of a phase (n,) and its multiples: powers of the first."""
-    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), count))
+    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
     return np.cumprod(first, axis=1)
 
 
-def curve(name: str, x: Floats, count: int) -> Floats:
+def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
     """Columns of a smooth curve over a covariate (n,)."""
-    if name in CIRCULAR:
-        return fourier_columns(x, (count + 1) // 2)
-    low, high = float(x.min()), float(x.max())
+    if name in CIRCULAR_COVARIATES:
+        return fourier_columns(covariate, (n_modes + 1) // 2)
+    low, high = float(covariate.min()), float(covariate.max())
     half = max(0.5 * (high - low), 1e-300)
-    u = (x - 0.5 * (low + high)) / half
-    waves = _turns(0.5 * np.pi * (u + EDGE) / EDGE, count).imag / np.sqrt(EDGE)
+    u = (covariate - 0.5 * (low + high)) / half
+    waves = _unit_phasors(0.5 * np.pi * (u + BASIS_HALF_WIDTH) / BASIS_HALF_WIDTH, n_modes).imag / np.sqrt(
+        BASIS_HALF_WIDTH
+    )
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
 
 @cache
-def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
+def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations of the coefficients of a curve, one array per length scale."""
     spreads = []
-    if circular:
-        orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
-        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
+    if is_circular:
+        orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
+        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES[n_modes]]
     else:
-        rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
-        spreads = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
-        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
+        rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / BASIS_HALF_WIDTH
+        spreads = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES[n_modes]]
+        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_MODES_FACTOR else []
     return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 
-def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
+def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
     """Function (n, 1) of a covariate and a constant."""
-    x = sightings.quantities[name]
-    if how == HYSTERESIS:
-        slack = play_operator(x[sightings.order], constant)
+    x = sightings.quantities[covariate]
+    if function_name == PLAY_FUNCTION:
+        slack = play_operator(x[sightings.measurement_order], constant)
         values = np.empty_like(x)
-        values[sightings.order] = slack - x[sightings.order]
-        return unit_rms((values - values.mean())[:, None])
-    if how == "power" and name in sightings.covariates and not has_zero(x):
+        values[sightings.measurement_order] = slack - x[sightings.measurement_order]
+        return scaled_to_unit_rms((values - values.mean())[:, None])
+    if function_name == "power" and covariate in sightings.covariates and not has_natural_zero(x):
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = SIMPLE_FUNCTIONS[how](x, constant)
-    return unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+        values = SHORT_LAW_FUNCTIONS[function_name](x, constant)
+    return scaled_to_unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
-def play_operator(x: Floats, half: float) -> Floats:
-    """Output (n,) of a play operator for a sequence (n,): it moves once the input has moved by the slack `half`.
+def play_operator(values: Floats, slack: float) -> Floats:
+    """Output (n,) of a play operator for a sequence (n,): it moves once the input has moved by the slack `slack`.
 
     The operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
-    output = np.empty_like(x)
-    now = float(x[0]) if len(x) else 0.0
-    for i, value in enumerate(x.tolist()):
-        now = min(max(now, value - half), value + half)
+    output = np.empty_like(values)
+    now = float(values[0]) if len(values) else 0.0
+    for i, value in enumerate(values.tolist()):
+        now = min(max(now, value - slack), value + slack)
         output[i] = now
     return output
 
 
-def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
+def linear_field_columns(
+    sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
+) -> Floats:
     """Constant and coordinates relative to the centre of some or all targets (n, 4).
 
-    With `bent` also products (n, 10).
+    With `is_quadratic` also products (n, 10).
     """
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
-    ids = [i for name in around for i in sightings.target_ids[name]]
+    ids = [i for name in centre_targets for i in sightings.target_indices[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
     place = place - place[near].mean(axis=0)
     place = place / max(float(place[near].std()), 1e-300)
-    more = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)] if bent else []
+    more = (
+        [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)] if is_quadratic else []
+    )
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
-def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
+def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
-    x = sightings.quantities[name]
-    x = np.abs(x) if name.startswith(MEMORY_PREFIXES) else x - x.mean()
-    slow = lagged(x, sightings, memory)
-    return np.hstack([unit_rms(slow[:, None]), unit_rms((x - slow)[:, None])])
+    x = sightings.quantities[covariate]
+    x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
+    slow = lagged(x, sightings, time_constant)
+    return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
 
 
 def lagged(x: Floats, sightings: Sightings, memory: float) -> Floats:
     """Values (n,) of a quantity (n,) after a first-order lag with a time constant [s], at its first value before."""
-    rows = sightings.order
+    rows = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)
     now = float(x[rows[0]])
@@ -178,6 +184,6 @@ def group_means(columns: Floats, groups: Ints) -> Floats:
     return means
 
 
-def indicator_columns(what: Ints, ids: Ints | Sequence[int]) -> Floats:
-    """Indicator columns (n, k): 1 where `what` (n,) equals the id (k,)."""
-    return (what[:, None] == np.asarray(ids)).astype(np.float64)
+def indicator_columns(group_indices: Ints, ids: Ints | Sequence[int]) -> Floats:
+    """Indicator columns (n, k): 1 where `group_indices` (n,) equals the id (k,)."""
+    return (group_indices[:, None] == np.asarray(ids)).astype(np.float64)

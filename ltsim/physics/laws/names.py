@@ -1,33 +1,38 @@
 """Names of catalogue effects that laws are equivalent to, such as `index-drift` for a decaying vertical index."""
 
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import CLOCKS
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import CLOCK_COVARIATES
 
 CATALOGUE_NAMES = {
-    **{("vertical index", clock): "index-drift" for clock in CLOCKS},
-    **{("azimuth", clock): "azimuth-drift" for clock in CLOCKS},
-    **{("distance", clock): "range-drift" for clock in CLOCKS},
+    **{("vertical index", clock): "index-drift" for clock in CLOCK_COVARIATES},
+    **{("azimuth", clock): "azimuth-drift" for clock in CLOCK_COVARIATES},
+    **{("distance", clock): "range-drift" for clock in CLOCK_COVARIATES},
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
 """Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Responses of the graduation of a circle, by circle."""
-MIN_HARMONIC_RATE, MIN_GRADUATION_RATE = 2.5, 20.0
-"""Periods per turn from which a wave of a circle is a harmonic of higher than second order (lower orders are in the
-ordinary calibration), and from which it is an error of the graduation.
-"""
+MIN_HARMONIC_PERIODS_PER_TURN = 2.5
+"""Periods per turn from which a wave of a circle is a harmonic of higher than second order; the ordinary calibration
+contains the lower orders."""
+MIN_GRADUATION_PERIODS_PER_TURN = 20.0
+"""Periods per turn from which a wave of a circle is an error of the graduation."""
 
 
-def name_of(law: Law) -> str:
+def catalogue_name(law: EmpiricalLaw) -> str:
     """Catalogue name of a law; `unknown` if there is none."""
-    driver, carrier = law.driver, law.carrier.name
+    driver, carrier = law.regressor, law.response.name
     if (
         driver.kind == "wave"
         and carrier in CIRCLE_RESPONSES.get(driver.covariates[0], ())
-        and driver.constant > MIN_HARMONIC_RATE
+        and driver.constant > MIN_HARMONIC_PERIODS_PER_TURN
     ):
-        return "encoder-interpolation" if driver.constant > MIN_GRADUATION_RATE else f"{driver.covariates[0]}-harmonic"
+        return (
+            "encoder-interpolation"
+            if driver.constant > MIN_GRADUATION_PERIODS_PER_TURN
+            else f"{driver.covariates[0]}-harmonic"
+        )
     if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
         return "range-cyclic"
     if driver.kind == "constant" and carrier == "distance" and not law.targets:

@@ -11,80 +11,91 @@ from scipy.sparse.csgraph import connected_components
 from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
-NEIGHBOUR_COUNTS = (3, 6)
+NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest targets that may move together with a target."""
-Z_WEIGHT = 5.0
+HEIGHT_WEIGHT = 5.0
 """Weight of heights in the clustering by levels: a fifth of the room's height is equivalent to surfaces at 60 deg."""
-MIN_GROUP = 3
+MIN_GROUP_TARGETS = 3
 """Smallest number of targets in a group, and of targets outside it."""
 
 
 @dataclass(frozen=True)
-class Place:
+class LawPlace:
     """Place of a law: names of set-ups or targets, and their pointings."""
 
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     rows: Ints
+    """Row numbers of the pointings at this place."""
     instruments: tuple[str, ...] = ()
 
 
-def named_rows(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+def rows_by_name(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
     """Pairs of name and pointings, for names that have pointings."""
     rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
     return (pair for pair in rows if len(pair[1]))
 
 
-def stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
+def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
     """Names of the set-ups of some pointings."""
-    return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
+    return tuple(sightings.station_names[k] for k in np.unique(sightings.station[rows]))
 
 
-def trackers_of(s: Sightings, names: Sequence[str]) -> tuple[Place, ...]:
+def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
     """Places of several instruments, each with all set-ups of one."""
-    places = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in named_rows(names, s.instrument))
+    places = tuple(
+        LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
+        for name, rows in rows_by_name(names, sightings.instrument)
+    )
     return places if len(places) > 1 else ()
 
 
-def clusters(s: Sightings) -> set[tuple[int, ...]]:
+def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of related targets: by position, and by the surface or level on which they are mounted.
 
     The groups are the branches of three cluster trees (average linkage); a surface is identified by the normals of its
     nests.
     """
-    if len(s.points) < 2 * MIN_GROUP:
+    if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
-    look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
+    look = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     groups = set()
-    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * Z_WEIGHT, look])):
+    for features in (
+        sightings.target_points,
+        np.hstack([sightings.target_points, look]),
+        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, look]),
+    ):
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        groups |= {tuple(b) for b in tree if MIN_GROUP <= len(b) <= len(features) - MIN_GROUP}
+        groups |= {tuple(b) for b in tree if MIN_GROUP_TARGETS <= len(b) <= len(features) - MIN_GROUP_TARGETS}
     return groups
 
 
-def neighbour_groups(s: Sightings) -> set[tuple[int, ...]]:
+def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of a target and its nearest neighbours."""
-    near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
-    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_COUNTS if 2 * k < len(n)}
+    near = [
+        np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
+        for point in sightings.target_points
+    ]
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
-def connected_groups(s: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
+def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
     """Groups of targets that are connected by reference lengths, such as on a gauge."""
-    index = {name: i for i, name in enumerate(s.target_names)}
+    index = {name: i for i, name in enumerate(sightings.target_names)}
     pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
     if not pairs:
         return set()
     count, (first, second) = len(index), np.array(pairs).T
     _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
-    return {group for group in members if MIN_GROUP <= len(group) <= count - MIN_GROUP}
+    return {group for group in members if MIN_GROUP_TARGETS <= len(group) <= count - MIN_GROUP_TARGETS}
 
 
-def group_places(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
+def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
     """Places for groups of targets, with the pointings to them."""
-    for members in sorted(sets):
-        rows = np.flatnonzero(np.isin(s.target, members))
+    for members in sorted(target_groups):
+        rows = np.flatnonzero(np.isin(sightings.target, members))
         if len(rows):
-            yield Place((), tuple(s.target_names[t] for t in members), rows)
+            yield LawPlace((), tuple(sightings.target_names[t] for t in members), rows)

@@ -11,49 +11,75 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.laws.columns import LOW, MODES
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.regressors import (
-    CLOCKS,
-    CONSTANT,
-    LEVER,
+    CLOCK_COVARIATES,
+    CONSTANT_REGRESSOR,
+    LEVER_FUNCTION,
     Regressor,
-    across_the_room,
-    amounts,
-    base_of,
-    latch,
-    memory,
-    near,
-    passage,
-    pieces,
-    simple,
-    smooth,
-    switch,
+    group_amounts_regressor,
+    latch_regressor,
+    nearness_regressor,
+    operator_input,
+    passage_regressor,
+    piecewise_regressor,
+    scalar_regressor,
+    smooth_regressor,
+    state_regressor,
+    switch_regressor,
+    with_position_dependence,
 )
-from ltsim.physics.laws.states import FADES, INPUTS, latches_of, states_of
-from ltsim.scene.regions import Region, is_distinctive, regions_of
+from ltsim.physics.laws.states import STATE_INPUTS, TIME_DECAY_FUNCTION, candidate_states, latch_thresholds
+from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
 from ltsim.scene.sightings import Sightings
 
-POINTED = ("azimuth", "elevation", "distance")
-BASE = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
-_CIRCLES = ("circle", "vertical-circle")
-_NEST = ("incidence", "nest-direction")
-_SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
+RAW_READING_NAMES = ("azimuth", "elevation", "distance")
+"""Names of the three raw readings as covariates."""
+BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
+"""Covariates that need no memory of earlier pointings."""
+_CIRCLE_COVARIATES = ("circle", "vertical-circle")
+_NEST_COVARIATES = ("incidence", "nest-direction")
+_SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")
 """Operators: previous value, change since then, accumulated magnitude of the changes."""
-PRECEDING = ("wound-azimuth", "lapse", "count", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
-READING_COVARIATES = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
+MEMORY_COVARIATES = (
+    "wound-azimuth",
+    "lapse",
+    "count",
+    *(f"{how}-{name}" for how in OPERATORS for name in RAW_READING_NAMES),
+)
+"""Covariates that depend on preceding pointings."""
+READING_COVARIATES = tuple(
+    dict.fromkeys(
+        (*BASE_COVARIATES, "z", *_CIRCLE_COVARIATES, *_NEST_COVARIATES, *_SIGN_COVARIATES, *MEMORY_COVARIATES)
+    )
+)
 """Covariates of readings, in addition to columns of the recording."""
-_HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in PRECEDING if not n.endswith("distance")))
+_HEAD_COVARIATES = (
+    "azimuth",
+    "elevation",
+    *_CIRCLE_COVARIATES,
+    *_SIGN_COVARIATES,
+    *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
+)
 COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
-    "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
-    "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
+    "instrument": (
+        *CLOCK_COVARIATES,
+        *_HEAD_COVARIATES,
+        "distance",
+        "height",
+        "move-distance",
+        "last-distance",
+        "work-distance",
+    ),
+    "circle": (*CLOCK_COVARIATES, "lapse", *_SIGN_COVARIATES[3:]),
     "stand": (
-        *CLOCKS,
+        *CLOCK_COVARIATES,
         "azimuth",
         "elevation",
-        *_CIRCLES,
+        *_CIRCLE_COVARIATES,
         "distance",
         "wound-azimuth",
         "work-azimuth",
@@ -62,49 +88,47 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
         "count",
         "last-target",
     ),
-    "target": ("time", "station", "distance", "height", *_SIGNS[3:], *_NEST),
-    "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_NEST),
-    "air": CLOCKS,
+    "target": ("time", "station", "distance", "height", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
+    "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
+    "air": CLOCK_COVARIATES,
 }
 """Covariates that each kind of response can depend on, in addition to columns of the recording. A wall does not depend
 on the pointing of a tracker, but its stand does, because a head is not balanced exactly and the floor yields under the
 operator.
 """
-MIN_TARGETS_NEAR = 2.5
+MIN_EFFECTIVE_TARGETS = 2.5
 """Smallest effective number of targets near a position."""
-PLACES_NEAR = ("xyz", "xy")
+NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
-TEMPORARY_SHAPES = ("xy", "x", "y", "z")
+TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act for a part of the work."""
-PARTS, MIN_TIMES = (2, 4), 12
-"""Numbers of equal parts of the work, in one of which a region may act; smallest number of distinct times."""
-DECAY_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
+TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
+"""Smallest number of distinct times with which a recording is divided into parts."""
+DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
 one.
 """
-HALF_LOOPS = np.array([0.05, 0.15, 0.3])
+HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops, as fractions of a covariate's span."""
-SHORT_MOVES = (0.15, 0.3, 0.5)
+DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands, as quantiles of the sizes of the moves."""
-LAG_TIMES = (60.0, 300.0, 1000.0, 3000.0)
+LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
-FEW_VISITS, MAX_VISITS, MAX_AMOUNTS = 3, 12, 60
-"""Smallest and largest number of set-ups with separate values (for fewer, single set-ups are tried), and largest number
-of targets.
-"""
-MAX_CHANGES = 12
+MIN_SEPARATE_SETUPS, MAX_SEPARATE_SETUPS, MAX_SEPARATE_TARGETS = 3, 12, 60
+"""Largest number of targets with separate values."""
+MAX_GROUP_STEP_TIMES = 12
 """Largest number of times at which a step of a group is tried; the best one is refined."""
-WAVE_STEP = 0.6
+WAVE_RATE_STEP = 0.6
 """Step between the rates tried for a wave, in cycles over the covariate's span, so that every rate
 is near a tried one.
 """
-MAX_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
-"""Largest number of cycles of a wave over a covariate's span, and smallest number of pointings per cycle."""
-ROUNDING = 1e-12
+MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
+"""Smallest number of pointings per cycle of a wave."""
+MIN_COVARIATE_SPREAD = 1e-12
 """Spread [rad, m, s] of a quantity below which it counts as constant: elevations in a plane differ by 1e-31."""
 OPERATOR_ODDS = 1.0 / 3.0
 """Factor on the prior odds for each operator or second factor: odds of one in three that it occurs."""
-DEPTHS = {
+OPERATOR_COUNTS = {
     "constant": 0,
     "sign": 0,
     "curve": 0,
@@ -134,122 +158,149 @@ def additional_columns(sightings: Sightings) -> list[str]:
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
 
-def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
+def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
     """Names of the quantities that vary in these sightings."""
     has_nests, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
-    asked = [n for n in names if (has_nests or n not in _NEST) and (faces or n not in _CIRCLES)]
-    floor = {n: ROUNDING * (base_of(n) not in sightings.covariates) for n in asked}
+    asked = [
+        n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
+    ]
+    floor = {n: MIN_COVARIATE_SPREAD * (operator_input(n) not in sightings.covariates) for n in asked}
     return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
 
 
-def is_admissible(kind: str, driver: Regressor, sightings: Sightings) -> bool:
+def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
     """True if a regressor can cause changes of a kind of response; readings may depend on every regressor."""
-    names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
-    return kind == "reading" or all(n in COVARIATES_BY_KIND[kind] or base_of(n) in sightings.covariates for n in names)
+    names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
+    return response_kind == "reading" or all(
+        n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names
+    )
 
 
-def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Regressor]]:
-    """All regressors that are tried, by kind; smooth ones with `modes` eigenfunctions."""
+def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
+    """All regressors that are tried, by kind; smooth ones with `n_modes` eigenfunctions."""
     s, columns = sightings, additional_columns(sightings)
-    base = _varying(s, (*BASE, *columns, *_CIRCLES, *_NEST))
-    before = _varying(s, (*PRECEDING, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
-    turning = [n for n in base if n not in CLOCKS]  # a clock never turns back
-    signs = [n for n in _varying(s, _SIGNS) if n != "seating-parity" or _signs_differ(s)]
+    base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
+    before = _varying_covariates(s, (*MEMORY_COVARIATES, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
+    turning = [n for n in base if n not in CLOCK_COVARIATES]  # a clock never turns back
+    signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _seating_parity_differs(s)]
     return {
-        "constant": [CONSTANT],
-        "sign": [simple(name, "power") for name in signs],
-        "curve": [smooth(name, modes) for name in base],
-        "clock": local_regressors(s),
+        "constant": [CONSTANT_REGRESSOR],
+        "sign": [scalar_regressor(name, "power") for name in signs],
+        "curve": [smooth_regressor(name, n_modes) for name in base],
+        "clock": single_target_regressors(s),
         "decay": [
-            simple(n, "decay", float(t)) for n in CLOCKS if n in base for t in np.ptp(s.quantities[n]) * DECAY_FRACTIONS
+            scalar_regressor(n, "decay", float(t))
+            for n in CLOCK_COVARIATES
+            if n in base
+            for t in np.ptp(s.quantities[n]) * DECAY_TIME_FRACTIONS
         ],
         "memory": [
-            *(smooth(name, modes) for name in before),
-            *(simple(name, "abs") for name in before if name.startswith("move-")),
+            *(smooth_regressor(name, n_modes) for name in before),
+            *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
-        "lag": lags(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*visits(s, FEW_VISITS + 1), *_each_before(s)],
-        "wave": list(waves(s)),
-        "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_regressors(s), 2)],
+        "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
+        "amounts": [*visits(s, MIN_SEPARATE_SETUPS + 1), *_per_previous_target_regressors(s)],
+        "wave": list(wave_regressors(s)),
+        "room": [
+            *with_position_dependence(_slow_wave_regressors(s), 1),
+            *with_position_dependence(single_target_regressors(s), 2),
+        ],
         "shape": [
-            *(simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS),
-            *dead_bands(s),
+            *(
+                scalar_regressor(n, "hysteresis", float(k))
+                for n in turning
+                for k in np.ptp(s.quantities[n]) * HYSTERESIS_HALF_WIDTHS
+            ),
+            *dead_band_regressors(s),
         ],
-        "passage": [passage(region) for region in regions_of(s)],
-        "lever": [passage(region, LEVER) for region in regions_of(s)],
-        "passage for a time": list(temporary_regions(s)),
-        "lever for a time": list(temporary_regions(s, LEVER)),
-        "near": [near(region) for region in regions_of(s, PLACES_NEAR) if is_near_several(region, s)],
-        "state": [memory(*made) for made in states_of(s, _varying(s, INPUTS))],
-        "latch": [latch(*made) for made in latches_of(s, _varying(s, (*POINTED, *columns)))],
-        "product": list(products(s)),
+        "passage": [passage_regressor(region) for region in candidate_regions(s)],
+        "lever": [passage_regressor(region, LEVER_FUNCTION) for region in candidate_regions(s)],
+        "passage for a time": list(temporary_region_regressors(s)),
+        "lever for a time": list(temporary_region_regressors(s, LEVER_FUNCTION)),
+        "near": [
+            nearness_regressor(region)
+            for region in candidate_regions(s, NEARNESS_REGION_SHAPES)
+            if contains_several_targets(region, s)
+        ],
+        "state": [state_regressor(*made) for made in candidate_states(s, _varying_covariates(s, STATE_INPUTS))],
+        "latch": [
+            latch_regressor(*made)
+            for made in latch_thresholds(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
+        ],
+        "product": list(product_regressors(s)),
     }
 
 
-def dead_bands(sightings: Sightings) -> list[Regressor]:
+def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
     """Drivers that act at short moves of an axis alone: what a drive or a contact does not follow."""
     return [
-        simple(name, how, float(k))
-        for name in _varying(sightings, ("move-azimuth", "move-elevation"))
-        for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), SHORT_MOVES))
+        scalar_regressor(name, how, float(k))
+        for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
+        for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
-        if k > ROUNDING
+        if k > MIN_COVARIATE_SPREAD
     ]
 
 
-def is_near_several(region: Region, sightings: Sightings) -> bool:
+def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
     """True if several targets are in a region: with one alone the error belongs to that target."""
-    return region.targets_within(sightings) > MIN_TARGETS_NEAR
+    return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS
 
 
-def temporary_regions(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
+def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
     """Regressors of regions of the hall that act in one part of the work."""
-    time, regions = np.unique(sightings.time), regions_of(sightings, TEMPORARY_SHAPES)
-    if len(time) < MIN_TIMES or not regions:
+    time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
+    if len(time) < MIN_DISTINCT_TIMES or not regions:
         return
-    passing = np.stack([region.path(sightings) > region.width for region in regions])
-    for parts in PARTS:
+    passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
+    for parts in TIME_PART_COUNTS:
         at = np.linspace(0, len(time) - 1, parts + 1).round().astype(int)
         ends = [*(0.5 * (time[at[1:-1]] + time[at[1:-1] - 1])).tolist(), np.inf]
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
-            gate = switch([simple("time", "step", edge) for edge in (begin, end) if edge < np.inf])
+            gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
             for i in np.flatnonzero(is_distinctive(passing & during, sightings)):
-                yield Regressor("product", factors=(passage(regions[i], function), gate))
+                yield Regressor("product", factors=(passage_regressor(regions[i], function), gate))
 
 
-def local_regressors(sightings: Sightings) -> list[Regressor]:
+def single_target_regressors(sightings: Sightings) -> list[Regressor]:
     """Regressors of single targets: functions of time, or of additional columns of the recording."""
-    names = _varying(sightings, ("time", *additional_columns(sightings)))
-    straight = [simple(name, "power") for name in names]
-    return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, additional_columns(sightings))]
+    names = _varying_covariates(sightings, ("time", *additional_columns(sightings)))
+    straight = [scalar_regressor(name, "power") for name in names]
+    return [
+        *straight,
+        *(smooth_regressor(name, N_MODES_FACTOR) for name in names),
+        *lag_regressors(sightings, additional_columns(sightings)),
+    ]
 
 
-def group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
+def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
-    local, each, steps = local_regressors(sightings), visits(sightings, 2), _steps(sightings)
+    local, each, steps = single_target_regressors(sightings), visits(sightings, 2), _step_regressors(sightings)
     return {
-        "constant": [CONSTANT],
-        "sign": [simple(name, "power") for name in _varying(sightings, _SIGNS[3:])],
-        "curve": [smooth(name, LOW) for name in _varying(sightings, _NEST[:1])],
+        "constant": [CONSTANT_REGRESSOR],
+        "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
+        "curve": [
+            smooth_regressor(name, N_MODES_FACTOR) for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
+        ],
         "clock": local,
         "step": steps,
         "amounts": each,
-        "wave": _slow_waves(sightings),
-        "room": across_the_room([*local, *each, *steps], 1),
+        "wave": _slow_wave_regressors(sightings),
+        "room": with_position_dependence([*local, *each, *steps], 1),
     }
 
 
-def _steps(sightings: Sightings) -> list[Regressor]:
+def _step_regressors(sightings: Sightings) -> list[Regressor]:
     """Steps in time, at pauses spread evenly over the measurement."""
     clock = np.unique(sightings.time)
-    if len(clock) < MAX_CHANGES:
+    if len(clock) < MAX_GROUP_STEP_TIMES:
         return []
-    at = np.linspace(0, len(clock) - 1, MAX_CHANGES + 2).round().astype(int)[1:-1]
-    return [pieces([simple("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
+    at = np.linspace(0, len(clock) - 1, MAX_GROUP_STEP_TIMES + 2).round().astype(int)[1:-1]
+    return [piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
 
 
-def _signs_differ(sightings: Sightings) -> bool:
+def _seating_parity_differs(sightings: Sightings) -> bool:
     """True if seatings and pointings alternate differently."""
     parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
@@ -258,65 +309,86 @@ def _signs_differ(sightings: Sightings) -> bool:
 def visits(sightings: Sightings, least: int) -> list[Regressor]:
     """Regressor with a separate amount for each set-up; none for fewer than `least`, and for many."""
     count = len(np.unique(sightings.station))
-    return [amounts("station", count)] if least <= count <= MAX_VISITS else []
+    return [group_amounts_regressor("station", count)] if least <= count <= MAX_SEPARATE_SETUPS else []
 
 
-def _each_before(sightings: Sightings) -> list[Regressor]:
+def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     count = len(sightings.target_names)
-    return [amounts("last-target", count)] if 1 < count <= MAX_AMOUNTS else []
+    return [group_amounts_regressor("last-target", count)] if 1 < count <= MAX_SEPARATE_TARGETS else []
 
 
-def lags(sightings: Sightings, names: Iterable[str]) -> list[Regressor]:
+def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
     """Regressors that depend on quantities through a first-order lag."""
-    varying = _varying(sightings, names)
+    varying = _varying_covariates(sightings, covariates)
     return [
-        Regressor("lagging", (name,), constant=t) for t in LAG_TIMES if np.ptp(sightings.time) > t for name in varying
+        Regressor("lagging", (name,), constant=t)
+        for t in LAG_TIME_CONSTANTS
+        if np.ptp(sightings.time) > t
+        for name in varying
     ]
 
 
-def products(sightings: Sightings) -> Iterator[Regressor]:
+def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
     """Products of two regressors: a sign or change with a curve, two curves, separate curves per instrument."""
-    names = _varying(sightings, (*BASE[:7], *additional_columns(sightings), *_CIRCLES, *_NEST))
+    names = _varying_covariates(
+        sightings, (*BASE_COVARIATES[:7], *additional_columns(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
+    )
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MAX_VISITS:
-        by_instrument = amounts("instrument", trackers)
-        yield from (Regressor("product", factors=(smooth(name, LOW), by_instrument)) for name in names)
-    for sign in _varying(sightings, _SIGNS[:3]):
-        yield from (Regressor("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
-    weights = [simple("distance", "power"), simple("elevation", "power")]
-    for name in _varying(sightings, ACCUMULATED_ROTATIONS):  # heat that the drives leave
-        fading = [memory(name, how, k) for name, how, k in states_of(sightings, (name,)) if how == FADES]
+    if 1 < trackers <= MAX_SEPARATE_SETUPS:
+        by_instrument = group_amounts_regressor("instrument", trackers)
+        yield from (
+            Regressor("product", factors=(smooth_regressor(name, N_MODES_FACTOR), by_instrument)) for name in names
+        )
+    for sign in _varying_covariates(sightings, _SIGN_COVARIATES[:3]):
+        yield from (
+            Regressor("product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_MODES_FACTOR)))
+            for name in names
+        )
+    weights = [scalar_regressor("distance", "power"), scalar_regressor("elevation", "power")]
+    for name in _varying_covariates(sightings, ACCUMULATED_ROTATIONS):  # heat that the drives leave
+        fading = [
+            state_regressor(name, how, k)
+            for name, how, k in candidate_states(sightings, (name,))
+            if how == TIME_DECAY_FUNCTION
+        ]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
-    weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
-    for move in _varying(sightings, [f"move-{name}" for name in POINTED]):
-        lengths = (simple(move, how) for how in ("abs", "power"))
+    weights += (
+        [smooth_regressor("lapse", N_MODES_FACTOR)] if np.ptp(sightings.quantities["lapse"]) > 0 else []
+    )  # a move is forgotten
+    for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
+        lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
         yield from (Regressor("product", factors=(length, weight)) for length in lengths for weight in weights)
     for first, second in combinations(names, 2):
-        if {first, second} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and second not in _CIRCLES:
-            yield Regressor("product", factors=(smooth(first, LOW), smooth(second, LOW)))
+        if {first, second} not in (
+            {"time", "station-time"},
+            {"azimuth", "bearing"},
+        ) and second not in _CIRCLE_COVARIATES:
+            yield Regressor(
+                "product", factors=(smooth_regressor(first, N_MODES_FACTOR), smooth_regressor(second, N_MODES_FACTOR))
+            )
 
 
-def rates(sightings: Sightings, name: str, most: float) -> Floats:
-    """Rates of waves in a quantity with up to `most` cycles over its span."""
-    span = float(np.ptp(sightings.quantities[name]))
-    return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > ROUNDING else np.zeros(0)
+def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
+    """Rates of waves in a quantity with up to `max_cycles` cycles over its span."""
+    span = float(np.ptp(sightings.quantities[covariate]))
+    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MIN_COVARIATE_SPREAD else np.zeros(0)
 
 
-def waves(
+def wave_regressors(
     sightings: Sightings,
-    names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
-    among: int = 1,
+    covariates: Sequence[str] = ("time", *RAW_READING_NAMES, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
+    n_parts: int = 1,
 ) -> Iterator[Regressor]:
-    """Waves in some quantities; each of the parts `among` gets an equal fraction of the pointings."""
-    most = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_CYCLES) / among
-    for name in names:
-        for rate in rates(sightings, name, most):
+    """Waves in some quantities; each of the parts `n_parts` gets an equal fraction of the pointings."""
+    most = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
+    for name in covariates:
+        for rate in wave_rates(sightings, name, most):
             yield Regressor("wave", (name,), constant=float(rate))
 
 
-SLOW_RATES = 18
+N_SLOW_RATES = 18
 """Number of rates of waves, the slowest ones, that are tried with targets."""
 
 
-def _slow_waves(sightings: Sightings) -> list[Regressor]:
-    return list(waves(sightings, ("time",)))[:SLOW_RATES]
+def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:
+    return list(wave_regressors(sightings, ("time",)))[:N_SLOW_RATES]

@@ -10,28 +10,29 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.laws.columns import (
-    CIRCULAR,
-    HARMONICS,
+    CIRCULAR_COVARIATES,
     MEMORY_PREFIXES,
-    MODES,
-    curve,
-    curve_spreads,
-    field,
+    N_HARMONICS,
+    N_MODES_DEFAULT,
     first_order_lag,
     fourier_columns,
-    function,
+    function_column,
     group_means,
-    has_zero,
+    has_natural_zero,
     indicator_columns,
     lagged,
-    unit_rms,
+    linear_field_columns,
+    scaled_to_unit_rms,
+    smooth_curve_columns,
+    smooth_curve_sigmas,
 )
-from ltsim.physics.laws.states import latch as latched, state
-from ltsim.scene.regions import Region
+from ltsim.physics.laws.states import latch_column as latched, state_column
+from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
-CLOCKS = ("time", "station-time")
-WORDS = {
+CLOCK_COVARIATES = ("time", "station-time")
+"""Covariates that are times."""
+FILE_NAMES_OF_COVARIATES = {
     "station": "place",
     "x": "place",
     "y": "place",
@@ -50,19 +51,29 @@ WORDS = {
 """Names of covariates in files, for those with another name here."""
 
 
-POINTED = ("azimuth", "elevation", "distance", "target")
+OPERATOR_INPUTS = ("azimuth", "elevation", "distance", "target")
+"""Quantities to which the operators on the order of measurement are applied."""
 
 
-def base_of(name: str) -> str:
+def operator_input(covariate: str) -> str:
     """Quantity to which an operator on the order of measurement is applied."""
-    how, _, base = name.partition("-")
-    return base if base and f"{how}-" in MEMORY_PREFIXES else name
+    how, _, base = covariate.partition("-")
+    return base if base and f"{how}-" in MEMORY_PREFIXES else covariate
 
 
-def words_of(names: Iterable[str]) -> tuple[str, ...]:
+def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
     """Names of covariates as in files; previous motions of the head are called approach."""
-    memory = {name for name in names if name == "lapse" or (base_of(name) != name and base_of(name) in POINTED)}
-    return tuple(dict.fromkeys("approach" if n in memory else WORDS.get(base_of(n), base_of(n)) for n in names))
+    memory = {
+        name
+        for name in covariates
+        if name == "lapse" or (operator_input(name) != name and operator_input(name) in OPERATOR_INPUTS)
+    }
+    return tuple(
+        dict.fromkeys(
+            "approach" if n in memory else FILE_NAMES_OF_COVARIATES.get(operator_input(n), operator_input(n))
+            for n in covariates
+        )
+    )
 
 
 @dataclass(frozen=True)
@@ -79,7 +90,7 @@ class Regressor:
         for all that is carried, growing across the room, and bent), passage (the length of the line of sight in a
         region of the hall, or with the function `lever` each part of it times its share of the line beyond), near (1 at
         the middle of a region, less the farther the target is from it), state (what pointings add up, forget and
-        release, `laws.states`), latch (set above `constant`, released below `released`).
+        release, `laws.states`), latch (set above `constant`, released below `latch_release`).
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -97,78 +108,88 @@ class Regressor:
     """
 
     kind: str
+    """Kind of the function, such as `smooth`, `wave`, `product` or `amounts`."""
     covariates: tuple[str, ...] = ()
+    """Names of the quantities of a pointing that the function depends on."""
     function: str = ""
+    """Name of the function within its kind."""
     constant: float = 0.0
+    """Constant of the function: a limit, a rate, a period or a time constant [SI]."""
     factors: tuple[Regressor, ...] = ()
-    around: tuple[str, ...] = ()
-    region: Region | None = None
-    released: float = 0.0
+    """Regressors that the function combines: factors of a product, or steps and ramps."""
+    centre_targets: tuple[str, ...] = ()
+    """Names of the targets whose centre is the origin of a field."""
+    region: HallRegion | None = None
+    """Region of the hall on which the function depends."""
+    latch_release: float = 0.0
+    """Lower threshold of a latch."""
 
-    def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
+    def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
         """Columns (n, k) over the pointings, each with an rms of about one.
 
-        Coordinates refer to one moment: an object that is `moving` has them at the start of the measurement, or while a
-        column of the recording is zero. Without such a moment they are the mean over the measurement.
+        Coordinates refer to one moment: an object that is `acts_on_targets` has them at the start of the measurement,
+        or while a column of the recording is zero. Without such a moment they are the mean over the measurement.
         """
-        columns = self._columns(sightings, moving)
-        if not moving or self.kind in ("constant", "field", "amounts", "product"):
+        columns = self._unreduced_columns(sightings, acts_on_targets)
+        if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
             return columns
-        columns = columns - columns[self._resting(sightings)].mean(axis=0)
-        return unit_rms(columns) if self.kind == "simple" else columns
+        columns = columns - columns[self._is_at_reference(sightings)].mean(axis=0)
+        return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
-    def _resting(self, sightings: Sightings) -> Bools:
+    def _is_at_reference(self, sightings: Sightings) -> Bools:
         """Flags (n,) of the pointings at which moving objects have their reference coordinates."""
         every = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
             return np.asarray(sightings.time == sightings.time.min())
         x = np.abs(sightings.covariates.get(name, every))
-        return x == np.nanmin(x) if has_zero(x) else every
+        return x == np.nanmin(x) if has_natural_zero(x) else every
 
-    def _columns(self, sightings: Sightings, moving: bool) -> Floats:
+    def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
         name = "".join(self.covariates[:1])
         if self.region is not None:
-            return unit_rms(self._in_region(self.region, sightings)[:, None])
+            return scaled_to_unit_rms(self._region_column(self.region, sightings)[:, None])
         match self.kind:
             case "constant":
                 return np.ones((len(sightings), 1))
             case "smooth":
-                return curve(name, sightings.quantities[name], int(self.constant))
+                return smooth_curve_columns(name, sightings.quantities[name], int(self.constant))
             case "wave" | "cycle":
-                return fourier_columns(self.constant * sightings.quantities[name], self.size // 2)
+                return fourier_columns(self.constant * sightings.quantities[name], self.n_columns // 2)
             case "field":
-                return field(sightings, self.covariates, self.around, bent=self.constant > 1)
+                return linear_field_columns(
+                    sightings, self.covariates, self.centre_targets, is_quadratic=self.constant > 1
+                )
             case "simple":
-                return function(sightings, name, self.function, self.constant)
+                return function_column(sightings, name, self.function, self.constant)
             case "state" | "latch":
-                return unit_rms(self._remembered(sightings, name)[:, None])
+                return scaled_to_unit_rms(self._state_column(sightings, name)[:, None])
             case "lagging":
                 return first_order_lag(sightings, name, self.constant)
             case "amounts":
-                return indicator_columns(*self._owners(sightings))
+                return indicator_columns(*self._group_indices(sightings))
             case "switch":
                 edges = [factor.constant for factor in self.factors]
                 on = np.searchsorted(edges, sightings.quantities[name]) % 2
                 values = lagged(on.astype(np.float64), sightings, self.constant) if self.constant else on
-                return unit_rms(values.astype(np.float64)[:, None])
+                return scaled_to_unit_rms(values.astype(np.float64)[:, None])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
-        return self._products(sightings, moving)
+        return self._product_columns(sightings, acts_on_targets)
 
-    def _remembered(self, sightings: Sightings, name: str) -> Floats:
+    def _state_column(self, sightings: Sightings, name: str) -> Floats:
         """State or latch (n,) of each set-up."""
         if self.kind == "latch":
-            return latched(sightings, name, self.constant, self.released)
-        return state(sightings, name, self.function, self.constant)
+            return latched(sightings, name, self.constant, self.latch_release)
+        return state_column(sightings, name, self.function, self.constant)
 
-    def _in_region(self, region: Region, sightings: Sightings) -> Floats:
+    def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
         """Path (n,) [m] in a region, its lever [m], or the nearness of the targets."""
         if self.kind == "near":
-            return region.nearness(sightings)
-        return region.lever(sightings) if self.function == LEVER else region.path(sightings)
+            return region.target_weights(sightings)
+        return region.levers(sightings) if self.function == LEVER_FUNCTION else region.path_lengths(sightings)
 
-    def _owners(self, sightings: Sightings) -> tuple[Ints, Ints]:
+    def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
         """Index (n,) of the station, instrument or target of each pointing, and the indices (k,) with an amount."""
         if self.covariates == ("station",):
             return sightings.station, np.unique(sightings.station)
@@ -176,20 +197,20 @@ class Regressor:
             return sightings.instrument, np.unique(sightings.instrument)
         every = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
-            return np.where(sightings.previous >= 0, sightings.target[sightings.previous], -1), every
-        ids = [sightings.target_names.index(name) for name in self.around]
+            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), every
+        ids = [sightings.target_names.index(name) for name in self.centre_targets]
         return sightings.target, np.array(ids) if ids else every
 
-    def _products(self, sightings: Sightings, moving: bool) -> Floats:
+    def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
         product = np.ones((len(sightings), 1))
         for factor in self.factors:
-            part = factor.columns(sightings, moving=moving)
+            part = factor.columns(sightings, acts_on_targets=acts_on_targets)
             if factor.kind == "smooth" and self.is_per_instrument:
                 part = part - group_means(part, sightings.instrument)
             elif factor.kind == "smooth":
                 part = np.hstack([np.ones((len(part), 1)), part])
             product = (product[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
-        return unit_rms(product) if self.hall_region and product.shape[1] == 1 else product
+        return scaled_to_unit_rms(product) if self.hall_region and product.shape[1] == 1 else product
 
     @property
     def is_per_instrument(self) -> bool:
@@ -200,7 +221,7 @@ class Regressor:
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
-    def spreads(self) -> tuple[Floats, ...]:
+    def coefficient_sigmas(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one array per length scale."""
         match self.kind:
             case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
@@ -210,115 +231,117 @@ class Regressor:
             case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
-                return (np.repeat(1.0 / np.arange(1, HARMONICS + 1), 2) / np.sqrt(2.0),)
+                return (np.repeat(1.0 / np.arange(1, N_HARMONICS + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)
             case "smooth":
-                return curve_spreads(self.covariates[0] in CIRCULAR, int(self.constant))
+                return smooth_curve_sigmas(self.covariates[0] in CIRCULAR_COVARIATES, int(self.constant))
         spread = np.ones(1)
         for factor in self.factors:
-            part = factor.spreads[0]
+            part = factor.coefficient_sigmas[0]
             part = np.append(1.0, part) if factor.kind == "smooth" and not self.is_per_instrument else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
     @property
-    def hall_region(self) -> Region | None:
+    def hall_region(self) -> HallRegion | None:
         """Region of the hall on which the regressor, or one of its factors, depends."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
-    def through(self, region: Region) -> Regressor:
+    def with_region(self, region: HallRegion) -> Regressor:
         """Copy of the regressor with another region."""
         if self.region is None:
-            factors = tuple(f.through(region) if f.region is not None else f for f in self.factors)
+            factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
-        return replace(self, region=region, covariates=tuple(region.axes))
+        return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:
         """Copy of the regressor with a field centred on some targets."""
         if all(f.kind != "field" for f in self.factors):
             return self
-        factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
+        factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def per_target(self, targets: tuple[str, ...]) -> Regressor:
         """Copy of the regressor with separate amounts for some targets."""
         followed = [f for f in self.factors or (self,) if f.kind != "field"]
-        each = amounts("target", len(targets), targets)
+        each = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*followed, each))
 
     @property
-    def size(self) -> int:
+    def n_columns(self) -> int:
         """Number of columns k."""
-        return len(self.spreads[0])
+        return len(self.coefficient_sigmas[0])
 
     @property
     def covariate_labels(self) -> tuple[str, ...]:
         """Covariates that it depends on, as named in files."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
-        return words_of(names)
+        return covariate_file_names(names)
 
 
-CONSTANT = Regressor("constant")
-PLACE = ("x", "y", "z")
+CONSTANT_REGRESSOR = Regressor("constant")
+"""Regressor with the value 1 at every pointing."""
+COORDINATE_COVARIATES = ("x", "y", "z")
+"""Covariates that are coordinates of the target."""
 
 
-def across_the_room(drivers: Sequence[Regressor], order: int) -> list[Regressor]:
+def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
     """Regressors whose amount may vary linearly or quadratically across the room."""
-    grows = Regressor("field", PLACE, constant=order)
-    return [Regressor("product", factors=(driver, grows)) for driver in drivers]
+    grows = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
+    return [Regressor("product", factors=(driver, grows)) for driver in regressors]
 
 
-def simple(name: str, function: str, constant: float = 1.0) -> Regressor:
+def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Regressor:
     """Regressor with one column."""
-    return Regressor("simple", (name,), function, constant)
+    return Regressor("simple", (covariate,), function, constant)
 
 
-LEVER = "lever"
+LEVER_FUNCTION = "lever"
 """Function name of a passage whose parts deflect a line of sight: a deflection at a point moves the end of the line in
 proportion to the remaining length, so that the direction changes by the remaining fraction.
 """
 
 
-def passage(region: Region, function: str = "") -> Regressor:
+def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
     """Regressor with the length of the line of sight in a region of the hall, or its lever."""
-    return Regressor("passage", tuple(region.axes), function, region=region)
+    return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 
 
-def near(region: Region) -> Regressor:
+def nearness_regressor(region: HallRegion) -> Regressor:
     """Regressor that is 1 for targets at the centre of a region and decreases with their distance from it."""
-    return Regressor("near", tuple(region.axes), region=region)
+    return Regressor("near", tuple(region.bounded_axes), region=region)
 
 
-def memory(name: str, function: str, constant: float) -> Regressor:
+def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
     """State of each set-up that accumulates the changes of a quantity."""
-    return Regressor("state", (name,), function, constant)
+    return Regressor("state", (covariate,), function, constant)
 
 
-def latch(name: str, above: float, below: float) -> Regressor:
+def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
     """Regressor that switches on above one threshold of a quantity and off below another."""
-    return Regressor("latch", (name,), constant=above, released=below)
+    return Regressor("latch", (covariate,), constant=set_threshold, latch_release=release_threshold)
 
 
-def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:
+def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, ...] = ()) -> Regressor:
     """Separate amounts for each `station`, `instrument`, `target` or `last-target`.
 
     Optionally for some targets only.
     """
-    return Regressor("amounts", (of,), constant=count, around=targets)
+    return Regressor("amounts", (group_kind,), constant=n_groups, centre_targets=targets)
 
 
-def pieces(steps: Sequence[Regressor]) -> Regressor:
+def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:
     """Sum of steps and ramps of one covariate, with independent sizes."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
-def switch(edges: Sequence[Regressor]) -> Regressor:
+def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
     """Regressor that is alternately on and off between the given steps, starting with on."""
-    return Regressor("switch", edges[0].covariates, factors=tuple(edges))
+    return Regressor("switch", edge_regressors[0].covariates, factors=tuple(edge_regressors))
 
 
-def smooth(name: str, modes: int = MODES) -> Regressor:
+def smooth_regressor(covariate: str, n_modes: int = N_MODES_DEFAULT) -> Regressor:
     """Smooth regressor (Gaussian process) of a covariate."""
-    return Regressor("smooth", (name,), constant=modes)
+    return Regressor("smooth", (covariate,), constant=n_modes)

@@ -13,27 +13,26 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import ARCSECOND, FACTOR, MICROMETRE, PPM
+from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
-from ltsim.physics.effects.effect import Term
+from ltsim.physics.effects.effect import SlotTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.effects.signature import by_displacement, on_readings
+from ltsim.physics.effects.signature import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MICROMETRE
-"""Plausible sizes of remaining errors of a good instrument (angle, length, scale), and of motions
-of walls and floors.
-"""
+PLAUSIBLE_ANGLE_ERROR, PLAUSIBLE_LENGTH_ERROR = 2 * ARCSECOND, 10 * MICROMETRE
+PLAUSIBLE_SCALE_ERROR, PLAUSIBLE_MOTION = 2 * PPM, 30 * MICROMETRE
+"""Plausible motion [m] of walls and floors."""
 
 
 @dataclass(frozen=True)
-class ResponseTerm:
-    """Response: quantity of the forward model that an effect may change.
+class Response:
+    """Quantity of the forward model, such as the vertical index, that an effect changes.
 
     Attributes
     ----------
@@ -55,154 +54,188 @@ class ResponseTerm:
     """
 
     name: str
-    unit: str
-    size: float
+    display_unit: str
+    """Unit in which the size is displayed."""
+    plausible_size: float
+    """Plausible size of a change [SI]."""
     observables: tuple[str, ...] = ()
+    """Observables that the response changes; empty if the geometry decides."""
     kind: str = "instrument"
-    ways: tuple[str, ...] = ("",)
-    scales: tuple[float, ...] = ()
-    units: tuple[str, ...] = ()
+    """Part of the measurement that changes: instrument, stand, target, air or reflector."""
+    component_names: tuple[str, ...] = ("",)
+    """Names of the components; one without a name for a scalar quantity."""
+    component_scales: tuple[float, ...] = ()
+    """Plausible sizes [SI] of the components, relative to `plausible_size`; empty for equal ones."""
+    component_units: tuple[str, ...] = ()
+    """Display units of the components; empty if all have `display_unit`."""
 
-    def display(self, way: int) -> tuple[str, float]:
+    def display_unit_of(self, component: int) -> tuple[str, float]:
         """Unit of a component, and factor from its coefficient [SI] to that unit."""
-        unit, scale = (self.units[way], self.scales[way]) if self.units else (self.unit, 1.0)
-        return unit, scale / FACTOR[unit]
+        unit, scale = (
+            (self.component_units[component], self.component_scales[component])
+            if self.component_units
+            else (self.display_unit, 1.0)
+        )
+        return unit, scale / SI_PER_UNIT[unit]
 
 
-_SLOTS = {
-    "elevation": ResponseTerm("vertical index", "urad", ANGLE, ("elevation",)),
-    "transit-offset": ResponseTerm("transit offset", "um", LENGTH),
-    "transit-tilt": ResponseTerm("transit tilt", "urad", ANGLE, ("azimuth",)),
-    "beam-lateral": ResponseTerm("lateral beam offset", "um", LENGTH, ("azimuth",)),
-    "beam-vertical": ResponseTerm("vertical beam offset", "um", LENGTH, ("elevation",)),
-    "beam-tilt": ResponseTerm("beam tilt", "urad", ANGLE, ("azimuth",)),
+_SLOT_RESPONSES = {
+    "elevation": Response("vertical index", "urad", PLAUSIBLE_ANGLE_ERROR, ("elevation",)),
+    "transit-offset": Response("transit offset", "um", PLAUSIBLE_LENGTH_ERROR),
+    "transit-tilt": Response("transit tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
+    "beam-lateral": Response("lateral beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("azimuth",)),
+    "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
+    "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
 """Responses that are slots of the kinematic chain."""
-_CIRCLES = {
-    ResponseTerm(
-        f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, "circle", ("cosine", "sine")
+_ECCENTRICITY_RESPONSES = {
+    Response(
+        f"{effect.observables[0]} eccentricity",
+        "urad",
+        PLAUSIBLE_ANGLE_ERROR,
+        effect.observables,
+        "circle",
+        ("cosine", "sine"),
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
 """Responses of circles whose centre is off their axis."""
-_READINGS = tuple(
-    ResponseTerm(
-        name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading"
+_READING_RESPONSES = tuple(
+    Response(
+        name,
+        "um" if name == "distance" else "urad",
+        PLAUSIBLE_LENGTH_ERROR if name == "distance" else PLAUSIBLE_ANGLE_ERROR,
+        (name,),
+        "reading",
     )
     for name in OBSERVABLES
 )
-_SIZE = {"distance": LENGTH, "azimuth": ANGLE, "elevation": ANGLE}
-_TOGETHER = tuple(
-    ResponseTerm(
+_PLAUSIBLE_SIZES = {
+    "distance": PLAUSIBLE_LENGTH_ERROR,
+    "azimuth": PLAUSIBLE_ANGLE_ERROR,
+    "elevation": PLAUSIBLE_ANGLE_ERROR,
+}
+_JOINT_RESPONSES = tuple(
+    Response(
         " and ".join(names),
         "um" if names[0] == "distance" else "urad",
-        _SIZE[names[0]],
+        _PLAUSIBLE_SIZES[names[0]],
         names,
         "reading",
         names,
-        tuple(_SIZE[name] / _SIZE[names[0]] for name in names),
+        tuple(_PLAUSIBLE_SIZES[name] / _PLAUSIBLE_SIZES[names[0]] for name in names),
         tuple("um" if name == "distance" else "urad" for name in names),
     )
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
 """Responses of several observables that depend on the same regressor, each with a separate coefficient."""
-_SCALE = ResponseTerm("range scale", "ppm", STRAIN, ("distance",))
+_RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
-def constants_in(slot: str) -> tuple[str, ...]:
+def constants_of_slot(slot: str) -> tuple[str, ...]:
     """Constants of the ordinary calibration that act on a slot of the chain."""
-    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(slot))
+    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot))
 
 
-VARIED = (
-    {carrier.name: constants_in(slot) for slot, carrier in _SLOTS.items()}
-    | {carrier.name: tuple(p.name for p in effect.parameters) for carrier, effect in _CIRCLES.items()}
-    | {"distance": constants_in("range"), _SCALE.name: ("range-scale",)}
+VARIED_CONSTANTS = (
+    {response.name: constants_of_slot(slot) for slot, response in _SLOT_RESPONSES.items()}
+    | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
+    | {"distance": constants_of_slot("range"), _RANGE_SCALE.name: ("range-scale",)}
 )
 """Constants of the ordinary calibration that a response varies, by response."""
-_LEAN = ResponseTerm("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
-_STAND = ResponseTerm("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
-_TARGETS = ResponseTerm("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
-_NORMAL = ResponseTerm("height of targets in their nests", "um", MOTION, (), "target")
-_AIR = ResponseTerm("air gradient", "K/m", 1.0, (), "air")
-_VERTEX = ResponseTerm("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
-_LEVEL = ResponseTerm("level displacement of reflectors towards the instrument", "um", LENGTH, (), "reflector")
+_STAND_TILT = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
+_STAND_POSITION = Response("place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z"))
+_TARGET_POSITION = Response("place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z"))
+_TARGET_HEIGHT = Response("height of targets in their nests", "um", PLAUSIBLE_MOTION, (), "target")
+_AIR_GRADIENT = Response("air gradient", "K/m", 1.0, (), "air")
+_REFLECTOR_VERTEX = Response(
+    "vertex of the reflectors", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector", ("axially", "sideways", "up")
+)
+_LEVEL = Response(
+    "level displacement of reflectors towards the instrument", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector"
+)
 
 
-def _reading(sightings: Sightings, observable: str) -> Floats:
-    return on_readings(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
+def _reading_design(sightings: Sightings, observable: str) -> Floats:
+    return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
-def _readings(sightings: Sightings, carrier: ResponseTerm) -> Floats:
-    ways = [scale * _reading(sightings, name) for name, scale in zip(carrier.observables, carrier.scales, strict=True)]
+def _joint_design(sightings: Sightings, response: Response) -> Floats:
+    ways = [
+        scale * _reading_design(sightings, name)
+        for name, scale in zip(response.observables, response.component_scales, strict=True)
+    ]
     return np.concatenate(ways, axis=2)
 
 
-def _slot(sightings: Sightings, slot: str) -> Floats:
+def _slot_design(sightings: Sightings, slot: str) -> Floats:
     return sightings.slot_responses[slot][:, :, None]
 
 
-def _scale(sightings: Sightings) -> Floats:
-    return on_readings(sightings, distance=sightings.range_)[:, :, None]
+def _range_scale_design(sightings: Sightings) -> Floats:
+    return design_from_front_face_corrections(sightings, distance=sightings.range_)[:, :, None]
 
 
-def _along_nest(sightings: Sightings) -> Floats:
-    normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-    return by_displacement(sightings, normal[:, :, None])
+def _nest_normal_design(sightings: Sightings) -> Floats:
+    normal = np.nan_to_num(sightings.nest_normals[sightings.target])
+    return design_from_displacements(sightings, normal[:, :, None])
 
 
-def _vertex(sightings: Sightings) -> Floats:
-    return by_displacement(sightings, reflector_axes(sightings))
+def _vertex_design(sightings: Sightings) -> Floats:
+    return design_from_displacements(sightings, reflector_axes(sightings))
 
 
 def _towards_instrument(sightings: Sightings) -> Floats:
     """Change of the readings per unit of a horizontal motion of the reflectors towards the instrument."""
-    way = sightings.position[sightings.station] - sightings.points[sightings.target]
+    way = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = way * [1.0, 1.0, 0.0]
-    return by_displacement(sightings, (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None])[:, :, None])
+    return design_from_displacements(
+        sightings, (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None])[:, :, None]
+    )
 
 
-Derivative = Callable[[Sightings], Floats]
+ResponseDesign = Callable[[Sightings], Floats]
+"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a response."""
 
 
-def _registry() -> dict[str, tuple[ResponseTerm, Derivative]]:
-    derivatives: list[tuple[ResponseTerm, Derivative]] = [
-        *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
-        *((carrier, partial(_readings, carrier=carrier)) for carrier in _TOGETHER),
-        *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
-        *((carrier, effect.design) for carrier, effect in _CIRCLES.items()),
-        (_SCALE, _scale),
-        (_LEAN, lambda s: station_design(s)[:, :, 3:5]),
-        (_STAND, lambda s: station_design(s)[:, :, :3]),
-        (_TARGETS, lambda s: s.by_target),
-        (_AIR, AirGradient().design),
-        (_NORMAL, _along_nest),
-        (_VERTEX, _vertex),
+def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
+    derivatives: list[tuple[Response, ResponseDesign]] = [
+        *((response, partial(_reading_design, observable=response.name)) for response in _READING_RESPONSES),
+        *((response, partial(_joint_design, response=response)) for response in _JOINT_RESPONSES),
+        *((response, partial(_slot_design, slot=slot)) for slot, response in _SLOT_RESPONSES.items()),
+        *((response, effect.design) for response, effect in _ECCENTRICITY_RESPONSES.items()),
+        (_RANGE_SCALE, _range_scale_design),
+        (_STAND_TILT, lambda s: station_design(s)[:, :, 3:5]),
+        (_STAND_POSITION, lambda s: station_design(s)[:, :, :3]),
+        (_TARGET_POSITION, lambda s: s.target_derivatives),
+        (_AIR_GRADIENT, AirGradient().design),
+        (_TARGET_HEIGHT, _nest_normal_design),
+        (_REFLECTOR_VERTEX, _vertex_design),
         (_LEVEL, _towards_instrument),
     ]
-    return {carrier.name: (carrier, derivative) for carrier, derivative in derivatives}
+    return {response.name: (response, derivative) for response, derivative in derivatives}
 
 
-RESPONSES = _registry()
+RESPONSES_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each component."""
-_NEED_NESTS = {_NORMAL.name, _VERTEX.name}
+_RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
 
 
-def response_designs(sightings: Sightings) -> dict[str, tuple[ResponseTerm, Floats]]:
+def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
     """Responses by name with their designs (n, 3, c), without duplicates.
 
     On a single face, for example, the vertical index equals the elevation. A moving target and a moving stand have
     equal designs but different regressors.
     """
-    designs: dict[str, tuple[ResponseTerm, Floats]] = {}
-    nests = bool(np.isfinite(sightings.nest_normal).any())
-    for name, (carrier, derivative) in RESPONSES.items():
-        if name in _NEED_NESTS and not nests:
+    designs: dict[str, tuple[Response, Floats]] = {}
+    nests = bool(np.isfinite(sightings.nest_normals).any())
+    for name, (response, derivative) in RESPONSES_BY_NAME.items():
+        if name in _RESPONSES_NEEDING_NESTS and not nests:
             continue
         design = derivative(sightings)
         comparable = (d for c, d in designs.values() if d.shape == design.shape and c.kind != "stand")
         same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in comparable)
         if design.any() and not any(same):
-            designs[name] = carrier, design
+            designs[name] = response, design
     return designs

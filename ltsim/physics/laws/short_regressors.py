@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.laws.columns import CIRCULAR
-from ltsim.physics.laws.regressors import CLOCKS, Regressor, simple
+from ltsim.physics.laws.columns import CIRCULAR_COVARIATES
+from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
@@ -20,7 +20,7 @@ SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 def short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
     """Short regressors in a covariate; fewer (`few`) if several covariates are tried together."""
     times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
-    circular = name in CIRCULAR
+    circular = name in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if few else 7):
             yield Regressor("wave", (name,), constant=float(order))
@@ -31,11 +31,11 @@ def short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> I
     if not few:
         tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", times)] if name in CLOCKS else []
-        tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []
+        tried += [("decay", times)] if name in CLOCK_COVARIATES else []
+        tried += [("relaxing", times)] if name in (*CLOCK_COVARIATES, "lapse") else []
         tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
         tried += [("within", times), ("stuck", times)] if name.startswith("move-") else []
         tried += [("slack", times)] if name.startswith(("move-", "wound-")) else []
     for function, constants in tried:
         for constant in constants:
-            yield simple(name, function, float(constant))
+            yield scalar_regressor(name, function, float(constant))

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.scene.sightings import Sightings
 
 
-class Size(NamedTuple):
+class DisplayedSize(NamedTuple):
     """Reported size of a law, in its display unit."""
 
     name: str
@@ -18,42 +18,46 @@ class Size(NamedTuple):
     unit: str
 
 
-def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Size, ...]:
+def displayed_sizes(
+    law: EmpiricalLaw, sightings: Sightings, coefficients: Floats, covariance: Floats
+) -> tuple[DisplayedSize, ...]:
     """Sizes of a law: amplitude and phase of a wave, a constant, or range and rms of a curve over the pointings.
 
     For a motion in space all components are given, at the set-up with the largest motion. The coefficients have a
-    `mean` (k,) and a `covariance` (k, k) [SI].
+    `coefficients` (k,) and a `covariance` (k, k) [SI].
     """
-    law, way, means, spread = law.along(mean, covariance, sightings)
-    ways = law.carrier.ways
-    if law.driver.kind == "constant":
-        name = "" if law.carrier.units else law.carrier.name
-        return tuple(_size(law, f"{name} {w}", means[i, 0], spread[i, 0, i, 0], i) for i, w in enumerate(ways))
-    if law.driver.kind == "wave" and len(ways) == 1:
-        mean, covariance = means[0], spread[0, :, 0]
-        size = float(np.hypot(*mean))
-        along = mean / max(size, 1e-300)
+    law, way, means, spread = law.at_largest_effect(coefficients, covariance, sightings)
+    ways = law.response.component_names
+    if law.regressor.kind == "constant":
+        name = "" if law.response.component_units else law.response.name
+        return tuple(
+            _displayed_size(law, f"{name} {w}", means[i, 0], spread[i, 0, i, 0], i) for i, w in enumerate(ways)
+        )
+    if law.regressor.kind == "wave" and len(ways) == 1:
+        coefficients, covariance = means[0], spread[0, :, 0]
+        size = float(np.hypot(*coefficients))
+        along = coefficients / max(size, 1e-300)
         across = np.array([-along[1], along[0]])
-        phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
+        phase = float(np.degrees(np.arctan2(coefficients[1], coefficients[0])))
         turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
-        amplitude = _size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
-        return amplitude, Size("phase", phase, min(turn, 180.0), "deg")
-    columns = law.columns(sightings)[law.mask(sightings) > 0]
+        amplitude = _displayed_size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
+        return amplitude, DisplayedSize("phase", phase, min(turn, 180.0), "deg")
+    columns = law.columns(sightings)[law.row_weights(sightings) > 0]
     each = columns @ means.T
     values = each @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     swings = (
-        _size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
+        _displayed_size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
         for i, w in enumerate(ways)
     )
-    if law.carrier.units:  # components of several units have no common rms
+    if law.response.component_units:  # components of several units have no common rms
         return tuple(swings)
     rms = float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
     slope = np.einsum("nc,nk->ck", each, columns) / max(rms * len(each), 1e-300)
-    felt = _size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
+    felt = _displayed_size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
     return felt, *swings
 
 
-def _size(law: Law, name: str, value: float, variance: float, way: int = 0) -> Size:
-    unit, factor = law.carrier.display(way)
-    return Size(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)
+def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
+    unit, factor = law.response.display_unit_of(component)
+    return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -15,128 +15,139 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
-INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
+STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
 """Quantities whose changes accumulate in a state."""
-EVENTS = ("face", "seating", "azimuth", "elevation")
+RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
 """Changes that reset a state: of the face, of the target, of the direction of an axis."""
-LIMITS = ("pause", "slew", "tip")
+RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
 """Quantities of a pointing that reset a state above a limit: time since the previous pointing, motion in azimuth,
 motion in elevation.
 """
-FADES, FORGETS = "fades", "forgets"
-"""Functions of states that decay with time, and with the number of pointings."""
-EVERY = "every"
-"""Function of states that are reset after a fixed number of pointings."""
-QUANTILES = (0.6, 0.8, 0.92)
+TIME_DECAY_FUNCTION = "fades"
+"""Name of the function of a state that decays with time."""
+POINTING_DECAY_FUNCTION = "forgets"
+"""Name of the function of a state that decays with the number of pointings."""
+FIXED_COUNT_RESET_FUNCTION = "every"
+"""Name of the function of a state that is reset after a fixed number of pointings."""
+RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
 """Limits that are tried, as quantiles of the quantity."""
-DECAY_FRACTIONS = (0.03, 0.1, 0.3)
+STATE_DECAY_TIME_FRACTIONS = (0.03, 0.1, 0.3)
 """Time constants of decaying states, as fractions of the duration of a set-up."""
 DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings in which a state decays by a factor of e."""
-COUNTED_INPUTS = ("station-time", "count")
+FIXED_COUNT_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
 RESET_COUNTS = range(3, 31)
 """Numbers of pointings after which a state is reset."""
 LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that are tried, as quantiles of the quantity."""
-MIN_RELEASES = 2
+MIN_RESETS = 2
 """Smallest number of resets within set-ups: a state with fewer is nearly the sum itself."""
-MIN_SPAN = 1e-6
+MIN_RELATIVE_STATE_SPAN = 1e-6
 """Smallest span of a state, relative to that of its input; below it the state is noise of the readings."""
-State = tuple[str, str, float]
-"""State as a tuple: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
+StateKey = tuple[str, str, float]
+"""Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
-def states_of(sightings: Sightings, inputs: Sequence[str]) -> list[State]:
+def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
     """All states that are tried with some inputs; their columns are cached with the sightings."""
-    functions = list(_functions(sightings))
-    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED_INPUTS]
+    functions = list(_state_functions(sightings))
+    states = [
+        (name, how, k)
+        for name in inputs
+        for how, k in functions
+        if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
+    ]
     _cache_states(sightings, states)
-    least = {name: MIN_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
-    return [key for key in states if np.ptp(sightings.derived[key]) > least[key[0]]]
+    least = {name: MIN_RELATIVE_STATE_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    return [key for key in states if np.ptp(sightings.derived_cache[key]) > least[key[0]]]
 
 
-def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
+def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
     """Functions of the memory of a state (decay or reset) with their constants that differ in these sightings."""
     stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
-    yield from ((FADES, stay * share) for share in DECAY_FRACTIONS if stay > 0.0)
-    yield from ((FORGETS, number) for number in DECAY_POINTINGS)
-    offered = [(f"after {name}", 1.0) for name in EVENTS]
-    for name in LIMITS:
-        x = _limited(sightings, name)
+    yield from ((TIME_DECAY_FUNCTION, stay * share) for share in STATE_DECAY_TIME_FRACTIONS if stay > 0.0)
+    yield from ((POINTING_DECAY_FUNCTION, number) for number in DECAY_POINTINGS)
+    offered = [(f"after {name}", 1.0) for name in RESET_EVENTS]
+    for name in RESET_LIMIT_QUANTITIES:
+        x = _limit_quantity(sightings, name)
         offered += (
-            [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], QUANTILES))] if x.any() else []
+            [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], RESET_LIMIT_QUANTILES))]
+            if x.any()
+            else []
         )
-    offered += [(EVERY, float(number)) for number in RESET_COUNTS]
+    offered += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in RESET_COUNTS]
     for how, k in offered:
-        releases = int(_resets(sightings, how, k).sum())
-        if MIN_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - MIN_RELEASES:
+        releases = int(_is_reset(sightings, how, k).sum())
+        if MIN_RESETS <= releases < len(sightings) - len(np.unique(sightings.station)) - MIN_RESETS:
             yield how, k
 
 
-def state(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
+def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
     """State (n,) less its mean."""
-    key: State = name, how, constant
+    key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
-    values: Floats = sightings.derived[key]
+    values: Floats = sightings.derived_cache[key]
     return values
 
 
-def latch(sightings: Sightings, name: str, above: float, below: float) -> Floats:
+def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
     """Latch (n,), 1 if a quantity was above one threshold later than below the other, else 0, less its mean."""
-    x, rows = sightings.quantities[name], sightings.by_set_up
-    event = np.where(x > above, 1.0, np.where(x < below, 0.0, np.nan))[rows]
-    first = sightings.previous[rows] < 0
-    event = np.where(first & np.isnan(event), (x[rows] > 0.5 * (above + below)).astype(np.float64), event)
+    x, rows = sightings.quantities[covariate], sightings.order_by_setup
+    event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
+    first = sightings.previous_rows[rows] < 0
+    event = np.where(
+        first & np.isnan(event), (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64), event
+    )
     last = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
     values = np.empty(len(rows))
     values[rows] = event[last]
     return values - values.mean()
 
 
-def latches_of(sightings: Sightings, names: Iterable[str]) -> list[tuple[str, float, float]]:
+def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
     """Quantities with pairs of thresholds, the upper one first, for which some pointings lie between them."""
     latches = []
-    for name in names:
+    for name in covariates:
         thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
         latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
     return latches
 
 
-def _limited(sightings: Sightings, name: str) -> Floats:
+def _limit_quantity(sightings: Sightings, function_name: str) -> Floats:
     """Quantity (n,) to which a limit applies."""
-    quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[name]
+    quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[function_name]
     return np.abs(sightings.quantities[quantity])
 
 
-def _resets(sightings: Sightings, how: str, constant: float) -> Bools:
+def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
     """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
-    came = sightings.previous >= 0
-    before = np.where(came, sightings.previous, 0)
-    name = how.removeprefix("after ")
-    if how in (FADES, FORGETS):
+    came = sightings.previous_rows >= 0
+    before = np.where(came, sightings.previous_rows, 0)
+    name = function_name.removeprefix("after ")
+    if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
-    if how == EVERY:
+    if function_name == FIXED_COUNT_RESET_FUNCTION:
         return came & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
-    if name in LIMITS:
-        return came & (_limited(sightings, name) > constant)
+    if name in RESET_LIMIT_QUANTITIES:
+        return came & (_limit_quantity(sightings, name) > constant)
     changing = {
         "face": sightings.face,
         "seating": sightings.target,
-        "azimuth": sightings.approach[:, 0],
-        "elevation": sightings.approach[:, 1],
+        "azimuth": sightings.approach_signs[:, 0],
+        "elevation": sightings.approach_signs[:, 1],
     }[name]
     return np.asarray(came & (changing != changing[before]))
 
 
-def _cache_states(sightings: Sightings, states: Sequence[State]) -> None:
+def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
     """Computation of several states (n,) together, cached with the sightings."""
-    states = [key for key in states if key not in sightings.derived]
+    states = [key for key in states if key not in sightings.derived_cache]
     if not states:
         return
-    rows = sightings.by_set_up
+    rows = sightings.order_by_setup
     inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
-    factors = {key: _factor(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
+    factors = {key: _remaining_fraction(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
     added = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
     values = np.empty_like(added)
@@ -146,21 +157,21 @@ def _cache_states(sightings: Sightings, states: Sequence[State]) -> None:
         values[i] = now
     values -= values.mean(axis=0)
     for key, column in zip(states, values.T, strict=True):
-        sightings.derived[key] = np.empty(len(rows))
-        sightings.derived[key][rows] = column
+        sightings.derived_cache[key] = np.empty(len(rows))
+        sightings.derived_cache[key][rows] = column
 
 
-def _increments(sightings: Sightings, name: str) -> Floats:
+def _increments(sightings: Sightings, covariate: str) -> Floats:
     """Change (n,) of a quantity since the previous pointing of the set-up, 0 for its first."""
-    x = sightings.quantities[name]
-    return np.where(sightings.previous >= 0, x - x[sightings.previous], 0.0)
+    x = sightings.quantities[covariate]
+    return np.where(sightings.previous_rows >= 0, x - x[sightings.previous_rows], 0.0)
 
 
-def _factor(sightings: Sightings, how: str, constant: float) -> Floats:
+def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
     """Remaining fraction (n,) of a state at each pointing: 0 at a reset."""
-    came = (sightings.previous >= 0).astype(np.float64)
-    if how == FADES:
+    came = (sightings.previous_rows >= 0).astype(np.float64)
+    if function_name == TIME_DECAY_FUNCTION:
         return came * np.exp(-sightings.quantities["lapse"] / constant)
-    if how == FORGETS:
+    if function_name == POINTING_DECAY_FUNCTION:
         return came * np.exp(-1.0 / constant)
-    return came * ~_resets(sightings, how, constant)
+    return came * ~_is_reset(sightings, function_name, constant)

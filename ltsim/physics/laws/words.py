@@ -8,40 +8,43 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressor_library import OPERATORS, READING_COVARIATES
 from ltsim.physics.laws.regressors import (
-    CLOCKS,
-    LEVER,
-    PLACE,
+    CLOCK_COVARIATES,
+    COORDINATE_COVARIATES,
+    LEVER_FUNCTION,
     Regressor,
-    amounts,
-    latch,
-    near,
-    passage,
-    pieces,
-    simple,
-    switch,
+    group_amounts_regressor,
+    latch_regressor,
+    nearness_regressor,
+    passage_regressor,
+    piecewise_regressor,
+    scalar_regressor,
+    switch_regressor,
 )
-from ltsim.physics.laws.responses import RESPONSES
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 from ltsim.recordings.recording import Recording
-from ltsim.scene.regions import SHAPES, Region
+from ltsim.scene.regions import REGION_SHAPES, HallRegion
 
-ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
-SECONDS = (*CLOCKS, "lapse")
+ANGLE_COVARIATES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
+"""Covariates that are displayed in degrees."""
+TIME_COVARIATES = (*CLOCK_COVARIATES, "lapse")
+"""Covariates that are times, displayed in minutes or seconds."""
 COVARIATES_IN_METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 """Covariates that are displayed in metres; other sets name those in degrees, minutes and seconds."""
-PHRASE_OF = {
+COVARIATE_PHRASES = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
     "station": "the station",
     "target": "the target",
     "last-target": "the target before",
 }
-OWNERS = ("station", "target", "last-target")
+"""Phrases for covariates whose name is not a phrase."""
+GROUP_KINDS = ("station", "target", "last-target")
 """Kinds of objects that may have separate amounts."""
-PHRASES: dict[tuple[str, str, float | None], str] = {
+REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
@@ -88,7 +91,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 """Phrase for a kind of regressor, its function and its constant (None: any). In it x is a covariate, k the constant,
 and value a constant or a period with its unit.
 """
-UNIT_OF = {
+CONSTANT_UNIT_COVARIATE = {
     "lagging": "time",
     "fades": "time",
     "after pause": "lapse",
@@ -98,91 +101,100 @@ UNIT_OF = {
 """Covariate whose unit the constant of a regressor has, by kind or function."""
 MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
-AT_EACH_SET_UP = ", in its own way at each set-up"
+PER_SETUP_SUFFIX = ", in its own way at each set-up"
 """Suffix of the regressor of a law with separate coefficients for each set-up."""
 RATIO = ", components in the ratio {values}"
 """Suffix of the regressor of a law whose components have a fixed ratio."""
-AT_EACH = ", another at each instrument"
+PER_INSTRUMENT_SUFFIX = ", another at each instrument"
 """Suffix of a product whose other factor is separate for each instrument."""
-SWITCH = "a switch of {x}, on from {spans}"
+SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
+"""Template of the text form of a switch."""
 SWITCH_LAG = ", followed with a lag of {value}"
-START = "the start"
+START_TEXT = "the start"
 """Text form of the start of a span that began before the first pointing."""
-BETWEEN = {"product": " times ", "pieces": ", "}
+FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
+"""Separators of the parts of a combined regressor, by its kind."""
 
 
 REGION_PHRASES = {
     ("passage", ""): "the path through",
-    ("passage", LEVER): "the lever of the path through",
+    ("passage", LEVER_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
 """Phrase before a region, by kind of regressor and its function."""
 
 
-def value_of(name: str, value: float, *, clock: bool = True) -> str:
+def covariate_value_text(covariate: str, value: float, *, clock: bool = True) -> str:
     """Text of a covariate's value with its unit; without a `clock`, time is given in rows."""
-    units = _units(name, clock)
+    units = _display_units(covariate, clock)
     *larger, last = units
     unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
 
-def _units(name: str, clock: bool) -> dict[str, float]:
+def _display_units(covariate: str, clock: bool) -> dict[str, float]:
     """Units of display of a covariate [SI], the larger one first."""
-    if name.endswith((*ANGLES, "incidence")):
+    if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
-    if name in SECONDS:
+    if covariate in TIME_COVARIATES:
         return {"min": 60.0, "s": 1.0} if clock else {"rows": 1.0}
-    return {"m": 1.0, "mm": 1e-3} if name in COVARIATES_IN_METRES else {"": 1.0}
+    return {"m": 1.0, "mm": 1e-3} if covariate in COVARIATES_IN_METRES else {"": 1.0}
 
 
-def describe(driver: Regressor, *, clock: bool = True) -> str:
+def regressor_text(regressor: Regressor, *, clock: bool = True) -> str:
     """Text form of a regressor."""
-    if driver.is_per_instrument:
-        return describe(driver.factors[0], clock=clock) + AT_EACH
-    if driver.kind in BETWEEN:
-        return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    if driver.region is not None:
-        return f"{REGION_PHRASES[driver.kind, driver.function]} {region_words(driver.region)}"
-    if driver.kind == "switch":
-        return _switch_words(driver, clock=clock)
-    if driver.kind == "latch":
-        above, below = (value_of(driver.covariates[0], k, clock=clock) for k in (driver.constant, driver.released))
-        return f"a latch of {driver.covariates[0]}, set above {above}, released below {below}"
-    name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
-    if driver.kind in ("wave", "cycle"):
-        how = "turn" if name.endswith(ANGLES) else "period"
-    phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
-    unit = UNIT_OF.get(how, UNIT_OF.get(driver.kind, name))
-    value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
-    return phrase.format(x=PHRASE_OF.get(name, name), k=f"{k:.4g}", value=value)
+    if regressor.is_per_instrument:
+        return regressor_text(regressor.factors[0], clock=clock) + PER_INSTRUMENT_SUFFIX
+    if regressor.kind in FACTOR_SEPARATORS:
+        return FACTOR_SEPARATORS[regressor.kind].join(regressor_text(f, clock=clock) for f in regressor.factors)
+    if regressor.region is not None:
+        return f"{REGION_PHRASES[regressor.kind, regressor.function]} {region_text(regressor.region)}"
+    if regressor.kind == "switch":
+        return _switch_text(regressor, clock=clock)
+    if regressor.kind == "latch":
+        above, below = (
+            covariate_value_text(regressor.covariates[0], k, clock=clock)
+            for k in (regressor.constant, regressor.latch_release)
+        )
+        return f"a latch of {regressor.covariates[0]}, set above {above}, released below {below}"
+    name, k, how = "".join(regressor.covariates[-1:]), regressor.constant, regressor.function
+    if regressor.kind in ("wave", "cycle"):
+        how = "turn" if name.endswith(ANGLE_COVARIATES) else "period"
+    phrase = REGRESSOR_TEMPLATES.get((regressor.kind, how, k)) or REGRESSOR_TEMPLATES[regressor.kind, how, None]
+    unit = CONSTANT_UNIT_COVARIATE.get(how, CONSTANT_UNIT_COVARIATE.get(regressor.kind, name))
+    value = covariate_value_text(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
+    return phrase.format(x=COVARIATE_PHRASES.get(name, name), k=f"{k:.4g}", value=value)
 
 
-def _switch_words(driver: Regressor, *, clock: bool) -> str:
+def _switch_text(regressor: Regressor, *, clock: bool) -> str:
     """Text form of a switch: the spans in which it is on; the first may have no start and the last no end."""
-    name = driver.covariates[0]
-    values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
-    if driver.factors[0].constant == -np.inf:
-        values[0] = START
+    name = regressor.covariates[0]
+    values = [covariate_value_text(name, factor.constant, clock=clock) for factor in regressor.factors]
+    if regressor.factors[0].constant == -np.inf:
+        values[0] = START_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
-    lag = SWITCH_LAG.format(value=value_of("time", driver.constant, clock=clock)) if driver.constant else ""
-    return SWITCH.format(x=name, spans=", ".join(spans)) + lag
+    lag = (
+        SWITCH_LAG.format(value=covariate_value_text("time", regressor.constant, clock=clock))
+        if regressor.constant
+        else ""
+    )
+    return SWITCH_TEMPLATE.format(x=name, spans=", ".join(spans)) + lag
 
 
-def law_suffix(law: Law) -> str:
+def law_suffix(law: EmpiricalLaw) -> str:
     """Text after the regressor of a law: separate coefficients for each set-up, ratio of the components."""
     ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
-    return (AT_EACH_SET_UP if law.each else "") + ratio
+    return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
 
-def region_words(region: Region) -> str:
+def region_text(region: HallRegion) -> str:
     """Text form of a region of the hall."""
-    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.axes, region.centre, strict=True))
-    return f"a {SHAPES[region.axes]} at {at}, width {region.width:.4g} m"
+    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
+    return f"a {REGION_SHAPES[region.bounded_axes]} at {at}, width {region.width:.4g} m"
 
 
-EXAMPLES = (
+TEXT_FORM_EXAMPLES = (
     "constant",
     "time^2",
     "sin(2 elevation)",
@@ -197,145 +209,192 @@ EXAMPLES = (
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
 """Examples of the text form of a regressor."""
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
-_GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
-_REGION = re.compile(
-    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
-    rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
+_NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_PLACEHOLDER_PATTERNS = {
+    "x": "(?P<x>.+)",
+    "k": f"(?P<k>{_NUMBER_PATTERN})",
+    "value": f"(?P<value>{_NUMBER_PATTERN}) ?(?P<unit>[a-z]*)",
+}
+_REGION_PATTERN = re.compile(
+    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(REGION_SHAPES.values())}) "
+    rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
-_COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
-_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER}(?: / {_NUMBER})*)')}")
-_LATCH = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
-_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER}) (?P<unit>[a-z]+)")
-_SWITCH = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
-_STEPS = re.compile(r", (?=step\(|ramp\()")
+_COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
+_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}")
+_LATCH_PATTERN = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
+_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
+_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
+_STEP_SEPARATOR = re.compile(r", (?=step\(|ramp\()")
 
 
-def read_law(
-    carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
-) -> Law:
-    """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
-    if carrier not in RESPONSES:
-        raise ModelError(f"there is no response called '{carrier}'; responses are {', '.join(RESPONSES)}")
-    ratio = _RATIO.fullmatch(words)
+def parse_law(
+    response_name: str,
+    regressor_text: str,
+    recording: Recording,
+    *,
+    stations: tuple[str, ...] = (),
+    targets: tuple[str, ...] = (),
+) -> EmpiricalLaw:
+    """Law from its response and the text form of its regressor (see `regressor_text`), at some places.
+
+    Raises ModelError.
+    """
+    if response_name not in RESPONSES_BY_NAME:
+        raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
+    ratio = _RATIO.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
-    words = ratio["words"] if ratio else words
-    driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
+    regressor_text = ratio["words"] if ratio else regressor_text
+    driver, each = (
+        parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording),
+        regressor_text.endswith(PER_SETUP_SUFFIX),
+    )
     if each and (stations or targets):
-        raise ModelError(f"'{words}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
+        raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
     driver = Regressor("product", factors=(driver,)) if owned == [driver] else driver
     if not targets and owned:
-        raise ModelError(f"'{words}' applies to targets, which follow the law: {carrier} ~ {words}:TARGET,TARGET")
+        raise ModelError(
+            f"'{regressor_text}' applies to targets, which follow the law: "
+            f"{response_name} ~ {regressor_text}:TARGET,TARGET"
+        )
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
-        orders = {PLACE: 1.0, ("target",): float(len(targets))}
+        orders = {COORDINATE_COVARIATES: 1.0, ("target",): float(len(targets))}
         factors = (
-            replace(f, around=targets, constant=orders[f.covariates]) if f.covariates in orders else f
+            replace(f, centre_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
             for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
-    law = Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
+    law = EmpiricalLaw(
+        recording.stations if each else stations,
+        targets,
+        RESPONSES_BY_NAME[response_name][0],
+        driver,
+        is_per_setup=each,
+    )
     if direction and len(direction) != law.components:
-        raise ModelError(f"'{words}': expected a ratio of {law.components} components, not of {len(direction)}")
+        raise ModelError(
+            f"'{regressor_text}': expected a ratio of {law.components} components, not of {len(direction)}"
+        )
     return replace(law, direction=direction)
 
 
-def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regressor:
-    """Regressor from its text form, the inverse of `describe`; `modes` applies to a smooth one. Raises ModelError."""
-    factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
-    if words.endswith(AT_EACH):
-        by_instrument = amounts("instrument", len(recording.instruments))
+def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
+    """Regressor from its text form, the inverse of `regressor_text`; `n_modes` applies to a smooth one.
+
+    Raises ModelError.
+    """
+    factors, steps = text.split(FACTOR_SEPARATORS["product"]), _STEP_SEPARATOR.split(text)
+    if text.endswith(PER_INSTRUMENT_SUFFIX):
+        by_instrument = group_amounts_regressor("instrument", len(recording.instruments))
         return Regressor(
-            "product", factors=(read_regressor(words.removesuffix(AT_EACH), recording, LOW), by_instrument)
+            "product",
+            factors=(
+                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_MODES_FACTOR),
+                by_instrument,
+            ),
         )
-    if match := _REGION.fullmatch(words):
-        region = _read_region(words, match)
+    if match := _REGION_PATTERN.fullmatch(text):
+        region = _parse_region(text, match)
         kind, function = next(key for key, through in REGION_PHRASES.items() if through == match["through"])
-        return near(region) if kind == "near" else passage(region, function)
+        return nearness_regressor(region) if kind == "near" else passage_regressor(region, function)
     if len(factors) > 1:
-        return Regressor("product", factors=tuple(read_regressor(factor.strip(), recording, LOW) for factor in factors))
+        return Regressor(
+            "product", factors=tuple(parse_regressor(factor.strip(), recording, N_MODES_FACTOR) for factor in factors)
+        )
     if len(steps) > 1:
-        return pieces([read_regressor(step, recording) for step in steps])
-    further = recording.circumstances
+        return piecewise_regressor([parse_regressor(step, recording) for step in steps])
+    further = recording.regressor_covariates
     covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
-    if match := _SWITCH.fullmatch(words):
-        return _read_switch(words, match, recording)
-    if match := _LATCH.fullmatch(words):
-        return _read_latch(words, match, recording)
-    names = {"": ""} | {PHRASE_OF.get(name, name): name for name in (*covariates, *OWNERS)}
-    for (kind, how, constant), phrase in PHRASES.items():
-        pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
-        if not (match := re.fullmatch(pattern, words)):
+    if match := _SWITCH_PATTERN.fullmatch(text):
+        return _parse_switch(text, match, recording)
+    if match := _LATCH_PATTERN.fullmatch(text):
+        return _parse_latch(text, match, recording)
+    names = {"": ""} | {COVARIATE_PHRASES.get(name, name): name for name in (*covariates, *GROUP_KINDS)}
+    for (kind, how, constant), phrase in REGRESSOR_TEMPLATES.items():
+        pattern = re.sub(r"\\{(\w+)\\}", lambda group: _PLACEHOLDER_PATTERNS[group[1]], re.escape(phrase))
+        if not (match := re.fullmatch(pattern, text)):
             continue
         groups: dict[str, str] = match.groupdict()
         name = names.get(groups.get("x", ""))
-        if name is None or (how == "turn" and not name.endswith(ANGLES)) or (name in OWNERS) != (kind == "amounts"):
+        if (
+            name is None
+            or (how == "turn" and not name.endswith(ANGLE_COVARIATES))
+            or (name in GROUP_KINDS) != (kind == "amounts")
+        ):
             continue
         many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
-        k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 1.0 if kind == "state" else 0.0)
+        k = constant or {"smooth": n_modes, "field": 2.0, "amounts": many}.get(kind, 1.0 if kind == "state" else 0.0)
         if "k" in groups or "value" in groups:
-            k = _constant(words, UNIT_OF.get(how, UNIT_OF.get(kind, name)), groups, recording.has_clock)
+            k = _parse_constant(
+                text,
+                CONSTANT_UNIT_COVARIATE.get(how, CONSTANT_UNIT_COVARIATE.get(kind, name)),
+                groups,
+                recording.has_clock,
+            )
             if k <= 0.0 and how not in ("step", "ramp", "power"):
-                raise ModelError(f"'{words}': expected a number above zero")
-        along = PLACE if kind == "field" else (name,) if name else ()
+                raise ModelError(f"'{text}': expected a number above zero")
+        along = COORDINATE_COVARIATES if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{words}' is not a regressor of this recording; expected words such as {'; '.join(EXAMPLES)}; with one of "
+        f"'{text}' is not a regressor of this recording; expected words such as "
+        f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of "
         f"{', '.join(covariates)}"
     )
 
 
-def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
+def _parse_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
     """Switch from its text form; raises ModelError."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
-    is_covariate = name in {*READING_COVARIATES, *recording.circumstances}
+    is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
-        if text == START and not edges:
-            edges.append(simple(name, "step", -np.inf))
+        if text == START_TEXT and not edges:
+            edges.append(scalar_regressor(name, "step", -np.inf))
             continue
-        value = re.fullmatch(_GROUPS["value"], text)
+        value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or not is_covariate:
-            raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-1]}'")
-        edges.append(simple(name, "step", _constant(words, name, value.groupdict(), recording.has_clock)))
+            raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-1]}'")
+        edges.append(
+            scalar_regressor(name, "step", _parse_constant(words, name, value.groupdict(), recording.has_clock))
+        )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
         raise ModelError(f"'{words}': expected times that increase")
     if match["value"]:
-        lag = _constant(words, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
-    return replace(switch(edges), constant=lag)
+        lag = _parse_constant(words, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
+    return replace(switch_regressor(edges), constant=lag)
 
 
-def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
+def _parse_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
     """Latch from its text form; raises ModelError."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
-        value = re.fullmatch(_GROUPS["value"], text)
-        if value is None or name not in {*READING_COVARIATES, *recording.circumstances}:
-            raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-2]}'")
-        thresholds.append(_constant(words, name, value.groupdict(), recording.has_clock))
+        value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
+        if value is None or name not in {*READING_COVARIATES, *recording.regressor_covariates}:
+            raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-2]}'")
+        thresholds.append(_parse_constant(words, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
         raise ModelError(f"'{words}': expected a release below the threshold that sets it")
-    return latch(name, thresholds[0], thresholds[1])
+    return latch_regressor(name, thresholds[0], thresholds[1])
 
 
-def _read_region(words: str, match: re.Match[str]) -> Region:
+def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
     """Region from its text form; raises ModelError."""
-    axes = next(axes for axes, shape in SHAPES.items() if shape == match["shape"])
-    centre = dict(_COORDINATE.findall(match["at"]))
+    axes = next(axes for axes, shape in REGION_SHAPES.items() if shape == match["shape"])
+    centre = dict(_COORDINATE_PATTERN.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
-        expected = region_words(Region(axes, (1.0,) * len(axes), 0.5))
-        raise ModelError(f"'{words}': expected a region such as '{expected}'")
-    return Region(axes, tuple(map(float, centre.values())), float(match["width"]))
+        expected = region_text(HallRegion(axes, (1.0,) * len(axes), 0.5))
+        raise ModelError(f"'{text}': expected a region such as '{expected}'")
+    return HallRegion(axes, tuple(map(float, centre.values())), float(match["width"]))
 
 
-def _constant(words: str, name: str, groups: Mapping[str, str], clock: bool) -> float:
+def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], clock: bool) -> float:
     """Number in a text form, in SI."""
     if "k" in groups:
         return float(groups["k"])
-    units, unit = _units(name, clock), groups["unit"]
+    units, unit = _display_units(covariate, clock), groups["unit"]
     if unit not in units:
         raise ModelError(
-            f"'{words}': expected a value of {name} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
+            f"'{text}': expected a value of {covariate} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
         )
     return float(groups["value"]) * units[unit]

@@ -10,15 +10,23 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
-from ltsim.geometry.kinematics.chain import Chain, point, point_and_derivatives
-from ltsim.geometry.kinematics.dh import DH
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
-from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
+from ltsim.geometry.kinematics.chain import KinematicChain, point_and_derivatives, point_of_readings
+from ltsim.geometry.kinematics.dh import DH_CHAIN
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
+from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR_CHAIN
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
-from ltsim.physics.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, unity
+from ltsim.physics.effects.effect import (
+    BasisFunction,
+    HarmonicBasis,
+    Parameter,
+    RangePowerBasis,
+    SlotEffect,
+    SlotTerm,
+    constant_basis,
+)
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.signature import PriorKind
@@ -27,8 +35,10 @@ from ltsim.physics.effects.transit_tilt import TransitTilt
 from ltsim.physics.effects.vertical_index import VerticalIndex
 from ltsim.recordings.recording import Recording
 
-NEWTON_STEPS = 12
-CLOSED = 1e-14
+MAX_NEWTON_STEPS = 12
+"""Largest number of Newton steps in the inversion of the kinematic chain."""
+NEWTON_TOLERANCE = 1e-14
+"""Residual [m, rad] at which the inversion of the kinematic chain ends."""
 LAST_STEP_RESIDUAL = 1e-11
 """Residual [m, rad] from which one more step with the exact derivative converges to rounding."""
 
@@ -38,72 +48,74 @@ class Construction:
     """Kinematic chain and the parameters that act on its slots."""
 
     name: str
-    chain: Chain
+    kinematic_chain: KinematicChain
     parameters: tuple[Parameter, ...]
-    terms: tuple[Term, ...]
+    """Error parameters of the instrument."""
+    terms: tuple[SlotTerm, ...]
     """Contributions of the parameters, one term each: slot and basis."""
 
     @property
-    def size(self) -> int:
+    def n_parameters(self) -> int:
         """Number of parameters p."""
         return len(self.parameters)
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
+    def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of the vector."""
         return tuple(p.name for p in self.parameters)
 
-    def names_of(self, instruments: Sequence[str]) -> tuple[str, ...]:
+    def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
         """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` if there are several."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
-        return tuple(name + mark for mark in marks for name in self.names)
+        return tuple(name + mark for mark in marks for name in self.parameter_names)
 
     def index(self, name: str) -> int:
         """Index of a parameter in the vector."""
-        if name not in self.names:
-            raise unknown_name("instrument parameter", name, self.names)
-        return self.names.index(name)
+        if name not in self.parameter_names:
+            raise unknown_name("instrument parameter", name, self.parameter_names)
+        return self.parameter_names.index(name)
 
-    def only(self, places: Iterable[int]) -> Self:
+    def with_parameter_subset(self, indices: Iterable[int]) -> Self:
         """Construction with a selection of the parameters."""
-        numbers = [int(k) for k in places]
+        numbers = [int(k) for k in indices]
         parameters, terms = tuple(self.parameters[k] for k in numbers), tuple(self.terms[k] for k in numbers)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
-    def _moving(self) -> tuple[Chain, tuple[str, ...]]:
+    def _chain_with_reading_slots(self) -> tuple[KinematicChain, tuple[str, ...]]:
         """Chain with slots on all motions that depend on a reading, and the names of these slots."""
-        still, chain, slots = np.zeros((1, 3)), list(self.chain), []
+        still, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         for column in range(3):
             moved = np.eye(3)[[column]]
-            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in self.chain)
+            motions = self.kinematic_chain
+            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in motions)
             place = list(driven).index(True)
-            motion = self.chain[place]
+            motion = self.kinematic_chain[place]
             slots.append(motion.slot or f"reading-{column}")
             chain[place] = replace(motion, slot=slots[-1])
         return tuple(chain), tuple(slots)
 
-    def bases(self, raw: Floats) -> Floats:
+    def basis_values(self, raw: Floats) -> Floats:
         """Value (n, p) of each parameter's basis at raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(raw)))
-        for k, term in self._varying:
+        for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(raw)
         return bases.T
 
     @cached_property
-    def _varying(self) -> list[tuple[int, Term]]:
+    def _reading_dependent_terms(self) -> list[tuple[int, SlotTerm]]:
         """Terms whose basis is not constant, with their indices."""
-        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not unity]
+        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
+    def slot_errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
         """Error (n,), or a common number, of each slot; `values` (p,), or (n, p) with a row per pointing [SI]."""
         amounts: dict[str, Floats] = {}
         for term, value in zip(self.terms, values.T, strict=True):
-            amount = value if term.basis is unity else term.basis(raw) * value
+            amount = value if term.basis is constant_basis else term.basis(raw) * value
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
-    def _amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
+    def _slot_amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
         amounts: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (bases * values).T, strict=True):
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
@@ -111,7 +123,7 @@ class Construction:
 
     def point(self, raw: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return point(self.chain, raw, self.errors(raw, values))
+        return point_of_readings(self.kinematic_chain, raw, self.slot_errors(raw, values))
 
     def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
@@ -119,9 +131,9 @@ class Construction:
         The derivative with respect to the readings neglects that the bases depend on them (relative 1e-5, the size of
         the errors); Newton's and Gauss-Newton iterations correct for that.
         """
-        (chain, driven), bases = self._moving, self.bases(raw)
+        (chain, driven), bases = self._chain_with_reading_slots, self.basis_values(raw)
         slots = {term.slot for term in self.terms} | set(driven)
-        p, by_slot = point_and_derivatives(chain, raw, self._amounts(bases, values), slots)
+        p, by_slot = point_and_derivatives(chain, raw, self._slot_amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(raw), 3, 0))
@@ -130,38 +142,38 @@ class Construction:
 
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
-        raw = self._inverted(points, face, values, CLOSED)
-        raw[:, 1] = wrap(raw[:, 1])
+        raw = self._invert_chain(points, face, values, NEWTON_TOLERANCE)
+        raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
 
-    def _inverted(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
-        """Raw readings (n, 3) of points, azimuths unwrapped, with a residual below `closed`.
+    def _invert_chain(self, points: Floats, face: Ints, values: Floats, tolerance: float) -> Floats:
+        """Raw readings (n, 3) of points, azimuths unwrapped, with a residual below `tolerance`.
 
         Newton's method with the derivative of an ideal tracker reduces the residual in each step by the relative size
         of the errors (1e-5), so that three steps reach rounding. Steps decrease by a constant ratio; a step that would
-        be below `closed` is omitted.
+        be below `tolerance` is omitted.
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
         if not np.any(values):
             return raw
         by_point, before = polar_jacobian(polar, face), np.inf
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
             raw = raw + step
             size = float(np.max(np.abs(step), initial=0.0))
-            if not (size > closed and (before == np.inf or size * size > closed * before)):
+            if not (size > tolerance and (before == np.inf or size * size > tolerance * before)):
                 break
             before = size
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Results of `readings` and of `reading_design` at the same points, computed together."""
-        raw = self._inverted(points, face, values, LAST_STEP_RESIDUAL)
+        raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
         reached, by_reading, by_value = self.linearised(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
-        raw[:, 1] = wrap(raw[:, 1])
+        raw[:, 1] = wrap_angle(raw[:, 1])
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -171,18 +183,18 @@ class Construction:
         return by_point, -by_point @ by_value
 
 
-def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
+def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
     """Geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
     chosen = tuple(effects)
     return Construction(
         "misalignment",
-        MISALIGNMENT,
+        MISALIGNMENT_CHAIN,
         tuple(p for effect in chosen for p in effect.parameters),
         tuple(t for effect in chosen for t in effect.terms),
     )
 
 
-BOUNDS: dict[str, tuple[str, float]] = {
+UNIT_AND_SIGMA_BY_PRIOR_KIND: dict[str, tuple[str, float]] = {
     "offset": ("um", 20 * MICROMETRE),
     "angle": ("urad", 3 * ARCSECOND),
     "range_offset": ("um", 10 * MICROMETRE),
@@ -192,10 +204,14 @@ BOUNDS: dict[str, tuple[str, float]] = {
 
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
-MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
-HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
+DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+"""Names of the six error motions of a rotary joint in the D-H construction."""
+MAX_HARMONIC_ORDER = 4
+"""Highest order of the harmonics of a joint in the D-H construction."""
+MAX_POLYNOMIAL_DEGREE = 9
+"""Highest degree of the polynomials of the range in the D-H construction."""
 
-DH_PHYSICAL: dict[str, PriorKind] = {
+DH_MISALIGNMENTS: dict[str, PriorKind] = {
     "J1.dX_c": "offset",
     "T.dX_0": "offset",
     "T.dY_0": "offset",
@@ -210,19 +226,19 @@ DH_PHYSICAL: dict[str, PriorKind] = {
 each.
 """
 
-_SPAN = 5.0
+_RANGE_SCALE_LENGTH = 5.0
 
 
-def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
+def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> Construction:
     """D-H construction of the paper with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
 
     Parameters
     ----------
-    harmonics : int
+    max_order : int
         Order of the rotary joints' error functions, 0 to 4.
     degree : int
         Degree of the range axis' polynomials in d.
-    extra : float
+    unphysical_sigma : float
         Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
         penalised remainder, not free parameters: most of them repeat others (`kinematics.dh`).
 
@@ -231,24 +247,31 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
     amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
     """
-    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
-    waves = range(2 * harmonics + 1)
-    rows = [(slot, COEFFICIENT_SUFFIXES[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
-    rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_JOINT_ERRORS]
+    waves = range(2 * max_order + 1)
+    rows = [(slot, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for slot, column in joints for k in waves]
+    rows += [
+        (f"T.{motion}", str(k), RangePowerBasis(k), _RANGE_SCALE_LENGTH**-k)
+        for motion in DH_JOINT_ERRORS
+        for k in range(degree + 1)
+    ]
     parameters, terms = [], []
     for slot, end, basis, scale in rows:
         name = f"{slot}_{end}"
-        kind = DH_PHYSICAL.get(name)
+        kind = DH_MISALIGNMENTS.get(name)
         penalised = ("urad", ARCSECOND) if ".e" in slot else ("um", 5 * MICROMETRE)
-        unit, sigma = BOUNDS[kind] if kind else (penalised[0], extra * penalised[1] * scale)
+        unit, sigma = (
+            UNIT_AND_SIGMA_BY_PRIOR_KIND[kind] if kind else (penalised[0], unphysical_sigma * penalised[1] * scale)
+        )
         parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
-        terms.append(Term(slot, basis))
-    return Construction("dh", DH, tuple(parameters), tuple(terms))
+        terms.append(SlotTerm(slot, basis))
+    return Construction("dh", DH_CHAIN, tuple(parameters), tuple(terms))
 
 
-def _harmonic(column: int, k: int) -> Basis:
+def _joint_basis(column: int, basis_number: int) -> BasisFunction:
     """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
-    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else unity
+    order = (basis_number + 1) // 2
+    return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
 
 SHARED_EFFECTS: tuple[SlotEffect, ...] = (
@@ -263,7 +286,7 @@ SHARED_EFFECTS: tuple[SlotEffect, ...] = (
 """Effects that a tracker with the source in the head and one with a steering mirror have in common; they act on the
 same slots of another chain.
 """
-MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
@@ -275,67 +298,69 @@ MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
     (
         "elevation-eccentricity-cos",
         "angle",
-        Lobe("cos", 2, 0.5),
+        HarmonicBasis("cos", 2, 0.5),
         "cosine of the mirror's angle, half the raw elevation",
     ),
-    ("elevation-eccentricity-sin", "angle", Lobe("sin", 2, 0.5), "sine of the mirror's angle"),
-    ("elevation-second-order-cos", "angle", Lobe("cos", 2, 1.0), "cosine of twice the mirror's angle"),
-    ("elevation-second-order-sin", "angle", Lobe("sin", 2, 1.0), "sine of twice the mirror's angle"),
+    ("elevation-eccentricity-sin", "angle", HarmonicBasis("sin", 2, 0.5), "sine of the mirror's angle"),
+    ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
+    ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
 """Misalignments of mirror, axes, cover plate and beam, each with its slot of `kinematics.steering_mirror`; their bases
 are functions of the circle that rotates with the mirror, at half the rate of the reading.
 """
 
 
-def steering_mirror() -> Construction:
+def steering_mirror_construction() -> Construction:
     """Construction with a beam-steering mirror and its 21 parameters."""
     parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
     terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
-        parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
-        terms.append(Term("elevation", lobe) if lobe else Term(name))
-    return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
+        unit, sigma = UNIT_AND_SIGMA_BY_PRIOR_KIND[kind]
+        parameters.append(Parameter(name, unit, meaning, sigma, kind))
+        terms.append(SlotTerm("elevation", lobe) if lobe else SlotTerm(name))
+    return Construction("steering-mirror", STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
 
 
-def ideal() -> Construction:
+def ideal_construction() -> Construction:
     """Construction without instrument parameters."""
-    return Construction("ideal", MISALIGNMENT, (), ())
+    return Construction("ideal", MISALIGNMENT_CHAIN, (), ())
 
 
-CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
-    "misalignment": misalignment,
-    "dh": dh,
-    "steering-mirror": steering_mirror,
-    "ideal": ideal,
+CONSTRUCTION_FACTORIES: dict[str, Callable[[], Construction]] = {
+    "misalignment": misalignment_construction,
+    "dh": dh_construction,
+    "steering-mirror": steering_mirror_construction,
+    "ideal": ideal_construction,
 }
 
 
-def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
+def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> Construction:
     """Construction by its name; for a D-H chain with the given orders.
 
     Raises ModelError for an unknown name, for orders of another construction, and for an order out of bounds.
     """
-    if name not in CONSTRUCTIONS:
-        raise unknown_name("construction", name, CONSTRUCTIONS)
-    if harmonics is None and degree is None:
-        return CONSTRUCTIONS[name]()
+    if name not in CONSTRUCTION_FACTORIES:
+        raise unknown_name("construction", name, CONSTRUCTION_FACTORIES)
+    if max_order is None and degree is None:
+        return CONSTRUCTION_FACTORIES[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
-    for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
+    limits = (("harmonics", max_order, MAX_HARMONIC_ORDER), ("degree", degree, MAX_POLYNOMIAL_DEGREE))
+    for what, order, highest in limits:
         if order is not None and not 0 <= order <= highest:
             raise ModelError(f"{what} is {order}, expected 0 to {highest}")
-    return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
+    return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
 
 
-def construction_with_orders(name: str, harmonics: int, degree: int) -> Construction:
+def construction_with_orders(name: str, max_order: int, degree: int) -> Construction:
     """Construction by its name, with orders that apply to the D-H chain only."""
-    return dh(harmonics, degree) if name == "dh" else construction(name)
+    return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 
-def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
+def construction_for_parameters(name: str, parameters: Iterable[str]) -> Construction:
     """Construction by its name; a D-H chain with the orders that the names of its `parameters` need."""
     if name != "dh":
-        return construction(name)
+        return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
     orders = [
         (COEFFICIENT_SUFFIXES.index(end) + 1) // 2
@@ -343,19 +368,23 @@ def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
         if not front.startswith("T.") and end in COEFFICIENT_SUFFIXES
     ]
     powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
-    return dh(max(orders, default=2), min(max(powers, default=2), HIGHEST_DEGREE))
+    return dh_construction(max(orders, default=2), min(max(powers, default=2), MAX_POLYNOMIAL_DEGREE))
 
 
 @cache
-def every_parameter_name() -> frozenset[str]:
+def all_parameter_names() -> frozenset[str]:
     """Names of the parameters of all constructions, with the highest orders of the D-H chain."""
-    built = misalignment(), steering_mirror(), dh(HIGHEST_ORDER, HIGHEST_DEGREE)
-    return frozenset(name for construction_ in built for name in construction_.names)
+    built = (
+        misalignment_construction(),
+        steering_mirror_construction(),
+        dh_construction(MAX_HARMONIC_ORDER, MAX_POLYNOMIAL_DEGREE),
+    )
+    return frozenset(name for construction_ in built for name in construction_.parameter_names)
 
 
 def construction_of_design(design: str) -> Construction:
     """Construction of an instrument by the origin of its beam, as declared in the set-up."""
-    return steering_mirror() if design == "steering-mirror" else misalignment()
+    return steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
 
 
 def declared_construction(recording: Recording) -> Construction:

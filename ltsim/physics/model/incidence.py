@@ -13,15 +13,15 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.effect import on_readings
+from ltsim.physics.effects.effect import design_from_front_face_corrections
 from ltsim.physics.effects.signature import Parameter, Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.reflectors import smr_names
 from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
-LAW = SmrIncidence()
+ERROR_LAW = SmrIncidence()
 MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
 """Smallest standard deviation of an error in a bench test: a tenth of the resolution of interferometers."""
 
@@ -32,11 +32,11 @@ class IncidenceErrors(Signature):
 
     reflector: str
     """Name of the reflector; empty if the recording names none."""
-    acts: Floats
+    reflector_weights: Floats
     """Weights (n,): 1 for pointings to the reflector, 0 for others."""
-    mean: Floats
+    mean_parameters: Floats
     """Expected parameters (p,) [SI] of `smr-incidence`."""
-    root: Floats
+    covariance_root: Floats
     """Change (p, k) [SI] of these parameters by one standard deviation of each error."""
 
     @property
@@ -47,29 +47,35 @@ class IncidenceErrors(Signature):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Errors as parameters, each with a prior of one standard deviation."""
-        return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
+        return (
+            Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),
+        ) * self.covariance_root.shape[1]
 
-    def law_values(self, values: Floats) -> Floats:
+    def smr_incidence_parameters(self, values: Floats) -> Floats:
         """Parameters (p, ...) [SI] of `smr-incidence` for errors (k, ...)."""
-        change: Floats = np.tensordot(self.root, values, 1)
-        return change + self.mean.reshape(-1, *[1] * (change.ndim - 1))
+        change: Floats = np.tensordot(self.covariance_root, values, 1)
+        return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
-    def _by_law(self, sightings: Sightings) -> Floats:
+    def _range_error_design(self, sightings: Sightings) -> Floats:
         """Range error (n, p) per unit of each parameter of `smr-incidence`."""
-        return LAW.terms(*LAW.incidence(sightings)) * self.acts[:, None]
+        return ERROR_LAW.error_derivatives(*ERROR_LAW.incidence_angles(sightings)) * self.reflector_weights[:, None]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each error."""
-        return on_readings(sightings, distance=self._by_law(sightings) @ self.root)
+        return design_from_front_face_corrections(
+            sightings, distance=self._range_error_design(sightings) @ self.covariance_root
+        )
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by the mean and errors (k,)."""
-        return on_readings(sightings, distance=self._by_law(sightings) @ self.law_values(values))
+        return design_from_front_face_corrections(
+            sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(values)
+        )
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
     """Incidence error of every reflector that was in a fixed nest with a known normal."""
-    return tuple(_incidence_errors(recording))
+    return tuple(_incidence_errors_by_reflector(recording))
 
 
 def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapping[str, Floats]) -> Floats:
@@ -77,36 +83,36 @@ def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapp
 
     `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the name of the reflector; others have no error.
     """
-    names = np.array(smrs_of(recording))
-    by_law = LAW.design(sightings)
+    names = np.array(smr_names(recording))
+    by_law = ERROR_LAW.design(sightings)
     change = np.zeros((len(recording), 3))
     for name, values in reflectors.items():
         change += np.where((names == name)[:, None], by_law @ values, 0.0)
     return change
 
 
-def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
+def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceErrors]:
     setups = [recording.target_setup(name) for name in recording.targets]
     nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
     fixed = nests[recording.target]
     if not fixed.any():
         return
-    names = np.array(smrs_of(recording))
+    names = np.array(smr_names(recording))
     tests = {test.reflector: test for test in recording.setup.bench}
     for name in dict.fromkeys(names[fixed].tolist()):
-        law = prior_given_bench_test(tests.get(name, tests.get("")))
+        law = incidence_prior_from_bench_test(tests.get(name, tests.get("")))
         yield IncidenceErrors(name, (fixed & (names == name)).astype(np.float64), *law)
 
 
-def prior_given_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
+def incidence_prior_from_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
     """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
-    mean, root = np.zeros(len(LAW.parameters)), np.diag(LAW.spread)
+    mean, root = np.zeros(len(ERROR_LAW.parameters)), np.diag(ERROR_LAW.size_scales)
     if test is None:
         return mean, root
     angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))
     middle = int(np.argmin(np.abs(angle)))
     positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
-    terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
+    terms = -SmrIncidence.error_derivatives(np.abs(angle) * DEGREE, positive)
     used = np.arange(len(angle)) != middle
     spread = np.maximum(sigma[used, None] * MICROMETRE, MIN_BENCH_SIGMA)
     sensitivity = (terms - terms[middle])[used] @ root / spread

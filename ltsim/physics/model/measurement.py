@@ -9,43 +9,45 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.units import DEGREE, EARTH, MILLIMETRE
-from ltsim.geometry.alignment import align
+from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z, smallest_rotation
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
-from ltsim.physics.model.nuisances import HeadHeights, head_heights, refraction_of, shared_errors
+from ltsim.physics.model.nuisances import HeadHeights, head_heights, read_shared_errors, refraction_unknown
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class State:
-    """State of a network: all quantities that an adjustment estimates; SI, network frame."""
+class NetworkState:
+    """State of a network: all poses, targets and parameters that an adjustment estimates; SI, network frame."""
 
-    position: Floats
+    station_positions: Floats
     """Positions of the instruments, (S, 3)."""
-    rotation: Floats
+    station_rotations: Floats
     """Instrument frame to network frame, (S, 3, 3)."""
-    points: Floats
+    target_points: Floats
     """Coordinates of the targets, (T, 3)."""
-    instrument: Floats
+    instrument_parameters: Floats
     """Construction parameters of each instrument, (I, p)."""
-    extra: Floats = field(default_factory=lambda: np.zeros(0))
+    extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
     """Parameters of the additional effects, (q,)."""
 
-    def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> Self:
-        """State after increments; `pose` (S, 6) is translation and rotation vector in the network frame."""
+    def incremented(
+        self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
+    ) -> Self:
+        """State after increments; `pose_increments` (S, 6) is translation and rotation vector in the network frame."""
         return type(self)(
-            self.position + pose[:, :3],
-            from_rotation_vector(pose[:, 3:]) @ self.rotation,
-            self.points + points,
-            self.instrument + instrument,
-            self.extra + extra,
+            self.station_positions + pose_increments[:, :3],
+            from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
+            self.target_points + point_increments,
+            self.instrument_parameters + instrument_increments,
+            self.extra_parameters + extra_increments,
         )
 
 
@@ -57,22 +59,24 @@ class Prediction:
     """
 
     readings: Floats
-    by_pose: Floats
-    by_target: Floats
-    by_instrument: Floats
-    by_extra: Floats
+    pose_derivatives: Floats
+    target_derivatives: Floats
+    instrument_derivatives: Floats
+    extra_derivatives: Floats
 
 
-def sightings_of(recording: Recording, state: State) -> Sightings:
+def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
     """Sightings of a recording's pointings with stations and targets at `state`.
 
     Nest normals are transformed from the floor plan to the network frame (`plan_rotation`).
     """
-    return _sightings(recording, state, plan_rotation(recording, state.position, state.rotation))
+    return _sightings_with_rotated_nests(
+        recording, state, plan_rotation(recording, state.station_positions, state.station_rotations)
+    )
 
 
-def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
-    """Sightings as of `sightings_of`, with nest normals rotated by `turn` (3, 3)."""
+def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
+    """Sightings as of `sightings_of`, with nest normals rotated by `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -80,27 +84,27 @@ def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
         face=recording.face,
         repeat=recording.repeat,
         time=recording.time,
-        position=state.position,
-        rotation=state.rotation,
-        points=state.points,
-        nest_normal=_nest_normals(recording) @ turn.T,
-        reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
+        station_positions=state.station_positions,
+        station_rotations=state.station_rotations,
+        target_points=state.target_points,
+        nest_normals=_nest_normals(recording) @ nest_rotation.T,
+        is_reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
         station_names=recording.stations,
         target_names=recording.targets,
-        covariates=recording.circumstances,
-        lift=lift_of(recording),
+        covariates=recording.regressor_covariates,
+        reflector_offsets=reflector_offsets(recording),
     )
 
 
 def _nest_normals(recording: Recording) -> Floats:
     """Declared normals (T, 3) of the nests on the floor plan; NaN if unknown."""
     missing = (np.nan, np.nan, np.nan)
-    return _units([recording.target_setup(name).nest_normal or missing for name in recording.targets])
+    return _unit_vectors([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
-def verticals(recording: Recording) -> Floats:
+def plumb_directions(recording: Recording) -> Floats:
     """Direction of the plumb line (S, 3) at each station, a unit vector in the network frame."""
-    return _units([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
+    return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
 def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
@@ -108,7 +112,7 @@ def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
     if not recording.setup.curved:
         return recording
     stations = dict(recording.setup.stations)
-    lean = (position - position.mean(axis=0))[:, :2] / EARTH
+    lean = (position - position.mean(axis=0))[:, :2] / EARTH_RADIUS
     for name, (x, y) in zip(recording.stations, lean.tolist(), strict=True):
         station = recording.station_setup(name)
         if station.levelled and station.vertical is None:
@@ -116,13 +120,13 @@ def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def _units(directions: list[tuple[float, float, float]]) -> Floats:
+def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
     vectors = np.array(directions, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def lift_of(recording: Recording) -> Floats | None:
-    """Offset (n, 3) [m] of each pointing's reflector from the target's mark; None if all offsets are 0.
+def reflector_offsets(recording: Recording) -> Floats | None:
+    """Offset (n, 3) [m] of each pointing's reflector from the mark of its target; None if all offsets are 0.
 
     An instrument height of a single pointing is included, less that of the set-up, which is part of the station's
     position.
@@ -130,12 +134,12 @@ def lift_of(recording: Recording) -> Floats | None:
     instrument, target = recording.heights()
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(usual)[recording.station])
-    lift = height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
-    off = smr_lift(recording)
+    lift = height[:, None] * plumb_directions(recording)[recording.station] if np.any(height) else None
+    off = smr_radius_offsets(recording)
     return off if lift is None else lift if off is None else lift + off
 
 
-def smr_lift(recording: Recording) -> Floats | None:
+def smr_radius_offsets(recording: Recording) -> Floats | None:
     """Part (n, 3) [m] of the offset due to SMRs of other radii than the reference, along the normals of their nests.
 
     The normals are in the frame of the set-up; `adjust` refuses a network in another frame.
@@ -153,82 +157,89 @@ class MeasurementModel:
     effects: tuple[Signature, ...] = ()
 
     @cached_property
-    def heads(self) -> tuple[HeadHeights, ...]:
+    def head_heights(self) -> tuple[HeadHeights, ...]:
         """Heights of heads as unknowns, if the set-up gives their standard deviation."""
-        return head_heights(self.recording, verticals(self.recording))
+        return head_heights(self.recording, plumb_directions(self.recording))
 
     @cached_property
-    def incidence(self) -> tuple[IncidenceErrors, ...]:
+    def incidence_errors(self) -> tuple[IncidenceErrors, ...]:
         """Incidence errors of reflectors in fixed nests; none if `effects` estimate them without a prior."""
-        free = any(isinstance(effect, SmrIncidence) and not effect.place for effect in self.effects)
+        free = any(isinstance(effect, SmrIncidence) and not effect.place_text for effect in self.effects)
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
     @property
     def incidence_columns(self) -> tuple[slice, ...]:
-        """Slices of the additional parameters (q,) that belong to each of `incidence`."""
-        first = self.effects_size + sum(len(heads.parameters) for heads in self.heads)
-        ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence)])
+        """Slices of the additional parameters (q,) that belong to each of `incidence_errors`."""
+        first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
+        ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
 
-    def reflectors(self, extra: Floats) -> dict[str, Floats]:
+    def incidence_parameters_by_reflector(self, extra: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
-        columns = zip(self.incidence, self.incidence_columns, strict=True)
-        return {error.reflector: error.law_values(extra[at]) for error, at in columns}
+        columns = zip(self.incidence_errors, self.incidence_columns, strict=True)
+        return {error.reflector: error.smr_incidence_parameters(extra[at]) for error, at in columns}
 
     @cached_property
-    def nuisances(self) -> tuple[Signature, ...]:
+    def nuisance_errors(self) -> tuple[Signature, ...]:
         """Nuisance errors with a prior: heights of heads, reflectors, errors shared by readings, refraction."""
-        return *self.heads, *self.incidence, *shared_errors(self.recording), *refraction_of(self.recording)
+        return (
+            *self.head_heights,
+            *self.incidence_errors,
+            *read_shared_errors(self.recording),
+            *refraction_unknown(self.recording),
+        )
 
     @property
     def extra_effects(self) -> tuple[Signature, ...]:
         """Additional effects, followed by the nuisance errors with a prior."""
-        return *self.effects, *self.nuisances
+        return *self.effects, *self.nuisance_errors
 
     @property
-    def extra_size(self) -> int:
+    def n_extra_parameters(self) -> int:
         """Number q of additional parameters, of effects and nuisance errors."""
         return sum(len(effect.parameters) for effect in self.extra_effects)
 
     @property
-    def effects_size(self) -> int:
+    def n_effect_parameters(self) -> int:
         """Number of parameters of the additional effects, which come first."""
         return sum(len(effect.parameters) for effect in self.effects)
 
-    def _instrument_values(self, state: State) -> Floats:
-        if len(state.instrument) == 1:
-            return state.instrument[0]
-        return state.instrument[self.recording.instrument]
+    def _instrument_values(self, state: NetworkState) -> Floats:
+        if len(state.instrument_parameters) == 1:
+            return state.instrument_parameters[0]
+        return state.instrument_parameters[self.recording.instrument]
 
     @cached_property
-    def _without_geometry(self) -> Sightings:
+    def _static_sightings(self) -> Sightings:
         """Sightings without geometry, collected once; nest normals on the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
-        return _sightings(self.recording, State(*none, np.zeros((0, 0))), np.eye(3))
+        return _sightings_with_rotated_nests(self.recording, NetworkState(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
-    def _horizontal(self) -> Bools | None:
+    def _horizontal_distance_flags(self) -> Bools | None:
         """Flags of horizontal distances; None if there are none."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
-    def sightings(self, state: State) -> Sightings:
+    def sightings(self, state: NetworkState) -> Sightings:
         """Sightings of the pointings with stations, targets and instruments at `state`."""
         geometry = self.geometry(state)
-        return self._completed(geometry, state, self._instrument_readings(geometry, state))
+        return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
-    def _completed(self, geometry: Sightings, state: State, raw: Floats) -> Sightings:
+    def _with_effect_data(self, geometry: Sightings, state: NetworkState, raw: Floats) -> Sightings:
         """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
-        turn = plan_rotation(self.recording, state.position, state.rotation)
-        return replace(geometry, nest_normal=geometry.nest_normal @ turn.T, encoder=raw)
+        turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
+        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=raw)
 
-    def _instrument_readings(self, geometry: Sightings, state: State) -> Floats:
-        return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
+    def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
+        return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
 
-    def geometry(self, state: State) -> Sightings:
+    def geometry(self, state: NetworkState) -> Sightings:
         """Sightings at `state`, without the data that only effects need."""
-        return self._without_geometry.at(state.position, state.rotation, state.points)
+        return self._static_sightings.with_geometry(
+            state.station_positions, state.station_rotations, state.target_points
+        )
 
     def extra_design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the readings per unit of each additional parameter."""
@@ -236,83 +247,87 @@ class MeasurementModel:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
-    def extra_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+    def extra_change(self, sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters at values (q,)."""
-        return self._shift(self.extra_effects, sightings, extra)
+        return self._signatures_change(self.extra_effects, sightings, extra)
 
-    def effects_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+    def effects_change(self, sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
-        return self._shift(self.effects, sightings, extra)
+        return self._signatures_change(self.effects, sightings, extra)
 
-    def incidence_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+    def incidence_change(self, sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
-        return incidence_shift(self.recording, sightings, self.reflectors(extra))
+        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(extra))
 
-    def _shift(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
+    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by the given signatures, which are the first of the additional ones."""
         change = np.zeros((len(sightings), 3))
-        for signature, values in zip(signatures, self._split(extra), strict=False):
-            change += signature.shift(sightings, values)
+        for signature, values in zip(signatures, self._values_by_effect(extra), strict=False):
+            change += signature.reading_change(sightings, values)
         return change
 
-    def predict(self, state: State) -> Floats:
+    def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
         raw = self._instrument_readings(sightings, state)
         if self.extra_effects:
-            sightings = self._completed(sightings, state, raw)
-            raw = raw + self.extra_shift(sightings, state.extra)
-        if self._horizontal is not None:
-            raw[self._horizontal, 0] *= np.abs(np.cos(raw[self._horizontal, 2]))
+            sightings = self._with_effect_data(sightings, state, raw)
+            raw = raw + self.extra_change(sightings, state.extra_parameters)
+        if self._horizontal_distance_flags is not None:
+            raw[self._horizontal_distance_flags, 0] *= np.abs(np.cos(raw[self._horizontal_distance_flags, 2]))
         return raw
 
-    def _split(self, extra: Floats) -> list[Floats]:
+    def _values_by_effect(self, extra: Floats) -> list[Floats]:
         """Values of each additional effect; 0 for those that a state does not hold."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
         whole = np.pad(extra, (0, sum(sizes) - len(extra)))
         return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
-    def linearised(self, state: State) -> Prediction:
+    def linearised(self, state: NetworkState) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
-        raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
+        raw, by_point, by_instrument = self.construction.readings_and_design(
+            sightings.local_points, sightings.face, values
+        )
         if self.extra_effects:
-            sightings = self._completed(sightings, state, raw)
-        by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
-        by_pose = pose_design(by_target, sightings.arm)
+            sightings = self._with_effect_data(sightings, state, raw)
+        by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
+        by_pose = pose_design(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.extra_effects:
-            extra = zip(self.extra_effects, self._split(state.extra), strict=True)
+            extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
             parts = [effect.linearised(sightings, values) for effect, values in extra]
             raw = raw + np.sum([part.shift for part in parts], axis=0)
             by_extra = np.concatenate([part.by_values for part in parts], axis=2)
             for further in (part.by_geometry for part in parts if part.by_geometry is not None):
                 by_target, by_pose = by_target + further[0], by_pose + further[1]
         derivatives = by_pose, by_target, by_instrument, by_extra
-        if self._horizontal is not None:
-            reduce_to_horizontal(raw, derivatives, self._horizontal)
+        if self._horizontal_distance_flags is not None:
+            reduce_to_horizontal(raw, derivatives, self._horizontal_distance_flags)
         return Prediction(raw, *derivatives)
 
 
-def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
+def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to the horizontal, in place.
 
-    `flat` (n,) marks the rows of the readings (n, 3) to reduce.
+    `is_horizontal` (n,) marks the rows of the readings (n, 3) to reduce.
     """
-    range_, level = raw[flat, 0], raw[flat, 2]
+    range_, level = raw[is_horizontal, 0], raw[is_horizontal, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
     for by in derivatives:
-        by[flat, 0] = (sign * cosine)[:, None] * by[flat, 0] - (sign * range_ * np.sin(level))[:, None] * by[flat, 2]
-    raw[flat, 0] = range_ * np.abs(cosine)
+        by[is_horizontal, 0] = (sign * cosine)[:, None] * by[is_horizontal, 0] - (sign * range_ * np.sin(level))[
+            :, None
+        ] * by[is_horizontal, 2]
+    raw[is_horizontal, 0] = range_ * np.abs(cosine)
 
 
 MAX_AXIS_SPREAD = 5 * DEGREE
 """Largest spread of the axes of instruments on tripods [rad]; its cosine is compared with the length of their mean."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
-PLAN_ACCURACY = 3 * DEGREE
+PLAN_DIRECTION_ACCURACY = 3 * DEGREE
 """Accuracy [rad] of directions on a floor plan: frames that agree within it are considered equal."""
 
 
@@ -328,21 +343,24 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     """Rotation (3, 3) from the set-up's frame to the network frame.
 
     It follows from the approximate positions of three or more stations that are not collinear, otherwise from their
-    yaws. It is the identity with control points, and if the set-up gives neither. Stations are at `position` (S, 3)
-    [m]; `rotation` (S, 3, 3) transforms their frames to the network frame.
+    yaws. It is the identity with control points, and if the set-up gives neither. Stations are at `station_positions`
+    (S, 3)
+    [m]; `station_rotations` (S, 3, 3) transforms their frames to the network frame.
     """
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)
     setups = [recording.station_setup(name) for name in recording.stations]
-    turn = _by_positions([s.position_mm for s in setups], position, rotation)
+    turn = _plan_rotation_from_positions([s.position_mm for s in setups], position, rotation)
     if turn is None:
-        turn = _by_yaws([s.yaw_deg for s in setups], rotation)
-    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_ACCURACY:
+        turn = _plan_rotation_from_yaws([s.yaw_deg for s in setups], rotation)
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_DIRECTION_ACCURACY:
         return np.eye(3)
     return turn
 
 
-def _by_positions(places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
+def _plan_rotation_from_positions(
+    places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats
+) -> Floats | None:
     """Rotation from approximate coordinates of three or more stations; levels determine the vertical far better."""
     given = [i for i, p in enumerate(places) if p is not None]
     if len(given) < MIN_PLAN_POSITIONS:
@@ -351,18 +369,18 @@ def _by_positions(places: list[tuple[float, float, float] | None], position: Flo
     axis = rotation[given, :, 2].mean(axis=0)
     level, here = np.eye(3), position[given]
     if np.linalg.norm(axis) > np.cos(MAX_AXIS_SPREAD):
-        level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
+        level = smallest_rotation(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
         here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
     try:
-        turn, _ = align(plan, here)
+        turn, _ = align_rigidly(plan, here)
     except NetworkError:
         return None
     return level.T @ turn
 
 
-def _by_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
+def _plan_rotation_from_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
     """Mean of the rotations that upright stations with these yaws imply."""
-    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
+    asked = [r @ rotation_about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
     if not asked:
         return None
     u, _, vt = np.linalg.svd(np.sum(asked, axis=0))

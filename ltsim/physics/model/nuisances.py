@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.units import EARTH, MILLIMETRE
-from ltsim.physics.effects.effect import on_readings
-from ltsim.physics.effects.signature import Parameter, Signature, by_displacement
+from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
+from ltsim.physics.effects.effect import design_from_front_face_corrections
+from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
 from ltsim.recordings.recording import (
-    ENDINGS,
     OBSERVABLES,
     OCCUPATION_COLUMNS,
     SHARED_COLUMN,
     SIGMA_UNITS,
+    UNIT_SUFFIXES,
     Recording,
 )
 from ltsim.scene.sightings import Sightings
@@ -26,13 +26,13 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class HeadHeights(Signature):
-    """Errors of the heights of instrument and reflector above their marks, one per occupation (q)."""
+    """Errors of the heights of instruments and reflectors above their marks, one parameter per occupation (q)."""
 
     sigma: float
     """Standard deviation [m] of each error."""
-    lift: Floats
+    occupation_coefficients: Floats
     """Coefficients (n, q): 1 for pointings to an occupation, -1 for those from it."""
-    up: Floats
+    plumb_directions: Floats
     """Direction of the plumb line, (n, 3)."""
 
     @property
@@ -43,15 +43,17 @@ class HeadHeights(Signature):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Height errors, one per occupation; `prior_sigma` is the declared standard deviation."""
-        return (Parameter("head-height", "mm", "height of a head", self.sigma),) * self.lift.shape[1]
+        return (Parameter("head-height", "mm", "height of a head", self.sigma),) * self.occupation_coefficients.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each height error."""
-        return by_displacement(sightings, self.up[:, :, None] * self.lift[:, None])
+        return design_from_displacements(
+            sightings, self.plumb_directions[:, :, None] * self.occupation_coefficients[:, None]
+        )
 
 
-def head_heights(recording: Recording, vertical: Floats) -> tuple[HeadHeights, ...]:
-    """Height errors of a recording that declares their standard deviation; `vertical` (S, 3) at its stations.
+def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHeights, ...]:
+    """Height errors of a recording that declares their standard deviation; `plumb_directions` (S, 3) at its stations.
 
     Cells of the columns `instrument_setup` and `target_setup` name the occupations; an empty cell has none.
     """
@@ -66,7 +68,7 @@ def head_heights(recording: Recording, vertical: Floats) -> tuple[HeadHeights, .
         return ()
     rows = np.eye(len(number_of) + 1, len(number_of))
     at, to = (rows[[number_of.get(key, len(number_of)) for key in end]] for end in ends)
-    return (HeadHeights(sigma * MILLIMETRE, to - at, vertical[recording.station]),)
+    return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,9 @@ class SharedErrors(Signature):
     network is equivalent to an adjustment with that covariance.
     """
 
-    reach: Floats
+    reading_changes: Floats
     """Change of each reading by one standard deviation, (n, 3, q) [m, rad]."""
-    flat: Bools
+    is_horizontal: Bools
     """Flags (n,) of distances that are reduced to the horizontal."""
 
     @property
@@ -90,7 +92,7 @@ class SharedErrors(Signature):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Errors as parameters, each with a prior of one standard deviation."""
-        return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reach.shape[2]
+        return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reading_changes.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each error.
@@ -98,14 +100,19 @@ class SharedErrors(Signature):
         A horizontal distance h = r cos(e) is computed from raw readings, but its error is declared for h: r changes so
         that h has that error, which also compensates for the error of e.
         """
-        reach, (range_, _, elevation) = self.reach.copy(), sightings.read[self.flat].T[:, :, None]
+        reach, (range_, _, elevation) = (
+            self.reading_changes.copy(),
+            sightings.instrument_readings[self.is_horizontal].T[:, :, None],
+        )
         cosine = np.cos(elevation)
-        change = np.sign(cosine) * reach[self.flat, 0] + range_ * np.sin(elevation) * reach[self.flat, 2]
-        reach[self.flat, 0] = change / cosine
+        change = (
+            np.sign(cosine) * reach[self.is_horizontal, 0] + range_ * np.sin(elevation) * reach[self.is_horizontal, 2]
+        )
+        reach[self.is_horizontal, 0] = change / cosine
         return reach
 
 
-def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
+def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
     """Errors declared in the columns `shared_NAME_...` of a recording; an empty cell means none."""
     columns = {name: parts for name in recording.covariates if (parts := SHARED_COLUMN.fullmatch(name))}
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
@@ -113,7 +120,7 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
         return ()
     reach = np.zeros((len(recording), len(OBSERVABLES), len(names)))
     for name, parts in columns.items():
-        k = ENDINGS.index(parts[2])
+        k = UNIT_SUFFIXES.index(parts[2])
         reach[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
     return (SharedErrors(reach, recording.is_horizontal),)
 
@@ -125,8 +132,9 @@ class Refraction(Signature):
     A line of sight of length d starts at the angle k d / 2 R to its chord, so that the target appears higher.
     """
 
-    mean: float
-    sigma: float
+    mean_coefficient: float
+    """Expected coefficient of refraction."""
+    coefficient_sigma: float
     """Expected coefficient, and its standard deviation."""
 
     @property
@@ -137,21 +145,21 @@ class Refraction(Signature):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficient of refraction less its mean, with its prior standard deviation."""
-        return (Parameter("refraction", "", "coefficient of refraction", self.sigma),)
+        return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the coefficient."""
-        _, across, up = sightings.unit_vectors
-        bend = -sightings.range_ / (2.0 * EARTH)  # corrections, hence the sign
+        _, across, up = sightings.beam_vectors
+        bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # corrections, hence the sign
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
-        return on_readings(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
+        return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for a coefficient that differs from its mean by values (1,)."""
-        return self.design(sightings) @ (self.mean + values)
+        return self.design(sightings) @ (self.mean_coefficient + values)
 
 
-def refraction_of(recording: Recording) -> tuple[Refraction, ...]:
+def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:
     """Refraction as an unknown, if the set-up gives its coefficient with a standard deviation."""
     given = recording.setup.refraction
     return () if given is None else (Refraction(*given),)

@@ -14,80 +14,95 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
-from ltsim.recordings.files import SourceLocation, shown
+from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
+from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
-CC = FACTOR["cc"]
+CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 FIXED_SIGMA_M = 1e-7
 """Standard deviation [m] of a fixed coordinate."""
 FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Coordinates that are fixed, by the keyword of a point."""
-SIGMAS = ("SX", "SY", "SZ")
-TURNED = ("BEAR", "SLOPE", "ROLL", "HDEFL")
-WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "DSE", "ACST", "IH", "IHSE", "ICSE")
+SIGMA_OPTIONS = ("SX", "SY", "SZ")
+ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
+OPTIONS_WITH_VALUE = (
+    "OBSE",
+    "PPM",
+    "TH",
+    "THSE",
+    "TCSE",
+    "TRGT",
+    "ID",
+    "ASE",
+    "ZSE",
+    "DSE",
+    "ACST",
+    "IH",
+    "IHSE",
+    "ICSE",
+)
 
 
 @dataclass(frozen=True)
-class Words:
+class LineWords:
     """Words of a line, with the location of the line."""
 
     tokens: Sequence[str]
-    where: SourceLocation
+    location: SourceLocation
 
-    def first(self, count: int, message: str) -> Sequence[str]:
+    def first_words(self, count: int, message: str) -> Sequence[str]:
         """The first `count` words; raises RecordError if there are fewer."""
         if len(self.tokens) < count:
-            raise self.where.error(message)
+            raise self.location.error(message)
         return self.tokens[:count]
 
     def numbers(self, start: int, *columns: str, limit: float = 1e12) -> list[float]:
         """Numbers from word `start` on; raises RecordError."""
         words = zip(self.tokens[start : start + len(columns)], columns, strict=True)
-        return [self.where.number(word, column, limit=limit) for word, column in words]
+        return [self.location.number(word, column, limit=limit) for word, column in words]
 
-    def options(self, start: int) -> Options:
+    def options(self, start: int) -> LineOptions:
         """Options from word `start` on: flags, and names followed by a value."""
         values: dict[str, str] = {}
         rest = iter(self.tokens[start:])
         for word in map(str.upper, rest):
-            value = next(rest, None) if word in WITH_VALUE else ""
+            value = next(rest, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
-                raise self.where.error(f"{word} without a value")
+                raise self.location.error(f"{word} without a value")
             values[word] = value
-        return Options(values, self.where)
+        return LineOptions(values, self.location)
 
 
 @dataclass(frozen=True)
-class Options:
+class LineOptions:
     """Options after the values of a line, by name."""
 
     values: dict[str, str]
-    where: SourceLocation
+    location: SourceLocation
 
     def number(self, name: str, default: float) -> float:
         """Number of an option, or its default; raises RecordError."""
-        return self.where.number(self.values[name], name) if name in self.values else default
+        return self.location.number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
 class DeclaredPoint:
     """Point declared in the file, with its coordinates and their weights."""
 
-    place: Floats
+    declared_point: Floats
     """Declared coordinates, known or approximate, (3,) [m]."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     """Inverse covariance (3, 3) [1 / m^2] of its coordinates; 0 along free ones."""
-    weighted: Floats = field(default_factory=lambda: np.zeros(3))
+    weighted_point: Floats = field(default_factory=lambda: np.zeros(3))
     """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 
-    def add(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
+    def add_observation(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
         """Addition of observed coordinates (3,) with covariance (3, 3), along some axes or all."""
         at = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
         information = np.zeros((3, 3))
         information[at] = np.linalg.inv(covariance[at])
         self.information = self.information + information
-        self.weighted = self.weighted + information @ place
+        self.weighted_point = self.weighted_point + information @ place
 
     @property
     def axes(self) -> Axes | None:
@@ -103,61 +118,63 @@ class DeclaredPoint:
     @property
     def is_placeholder(self) -> bool:
         """True if its plan coordinates are 0, which means unknown."""
-        return not np.any(self.place[:2])
+        return not np.any(self.declared_point[:2])
 
     @property
-    def estimate(self) -> tuple[Floats, Floats]:
+    def point_and_covariance(self) -> tuple[Floats, Floats]:
         """Coordinates (3,) [m] and covariance (3, 3) [m^2]; free ones as declared, with a variance of 1 mm^2."""
         axes = np.diag(self.information) > 0
-        at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.place.copy()
+        at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
         covariance[at] = np.linalg.inv(self.information[at])
-        place[axes] += covariance[at] @ (self.weighted - self.information @ self.place)[axes]
+        place[axes] += covariance[at] @ (self.weighted_point - self.information @ self.declared_point)[axes]
         return place, covariance
 
 
-def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
+def parse_point(keyword: str, words: LineWords) -> tuple[str, DeclaredPoint]:
     """Name and point of a line in a block of points; raises RecordError."""
-    name, place = _named_place(words, "a point needs a name and three coordinates")
+    name, place = _name_and_point(words, "a point needs a name and three coordinates")
     point = DeclaredPoint(place)
     axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
     if axes.any():
-        point.add(place, np.eye(3) * FIXED_SIGMA_M**2, axes)
+        point.add_observation(place, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
-        _read_precision(point, [token.upper() for token in words.tokens[4:]], words.where)
+        _read_precision(point, [token.upper() for token in words.tokens[4:]], words.location)
     return name, point
 
 
-def observed_point(words: Words) -> tuple[str, Floats, Floats]:
+def parse_observed_point(words: LineWords) -> tuple[str, Floats, Floats]:
     """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of a line of OBSXYZ; raises RecordError."""
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
-    name, place = _named_place(words, message)
-    words.first(7, message)
-    sigma = np.array(words.numbers(4, *SIGMAS))
+    name, place = _name_and_point(words, message)
+    words.first_words(7, message)
+    sigma = np.array(words.numbers(4, *SIGMA_OPTIONS))
     if not np.all(sigma > 0):
-        raise words.where.error("a standard deviation of 0")
+        raise words.location.error("a standard deviation of 0")
     return name, place, np.diag(sigma * MILLIMETRE) ** 2
 
 
-def _named_place(words: Words, message: str) -> tuple[str, Floats]:
-    name = words.where.name(words.tokens[0], "point")
-    words.first(4, message)
+def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
+    name = words.location.name(words.tokens[0], "point")
+    words.first_words(4, message)
     return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
 def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocation) -> None:
-    turned = next((word for word in words if word in TURNED), None)
+    turned = next((word for word in words if word in ROTATION_KEYWORDS), None)
     if turned is not None:
         raise where.error(f"{turned}: standard deviations in rotated axes are not read; give APRICOV")
     if "APRICOV" in words:
-        point.add(point.place, _matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where))
+        point.add_observation(
+            point.declared_point, _parse_matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where)
+        )
         return
-    declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
-    sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMAS])
+    declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMA_OPTIONS}
+    sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMA_OPTIONS])
     if declared:
-        point.add(point.place, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
+        point.add_observation(point.declared_point, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
-def _matrix(word: str, where: SourceLocation) -> Floats:
+def _parse_matrix(word: str, where: SourceLocation) -> Floats:
     """Covariance (3, 3) [m^2] written as `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
     values = [where.number(v, "APRICOV") for v in match[2].split(",")] if match else []
@@ -169,7 +186,7 @@ def _matrix(word: str, where: SourceLocation) -> Floats:
 
 
 @dataclass(frozen=True)
-class Sigmas:
+class TargetSigmas:
     """Standard deviations of a kind of target.
 
     Azimuth and zenith angle [cc], distance [mm, ppm], height of the target [m].
@@ -181,35 +198,35 @@ class Sigmas:
     ppm: float
     height: float
 
-    def of(self, kind: str, options: Options, value: float) -> float:
+    def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
         """Standard deviation [m, rad] of one value, from the options of its line or the declaration of the target."""
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
         declared = options.number(option, options.number("OBSE", getattr(self, kind)))
-        sigma = declared * CC
+        sigma = declared * CENTESIMAL_SECOND
         if kind == "distance":
             sigma = declared * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
         if not sigma > 0:
-            raise options.where.error("a standard deviation of 0", kind)
+            raise options.location.error("a standard deviation of 0", kind)
         return sigma
 
 
 @dataclass
-class Polar:
+class PolarInstrument:
     """Polar instrument of the file: default target, height [m], and kinds of target."""
 
     default: str
     height: float
-    targets: dict[str, Sigmas] = field(default_factory=dict)
+    targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
-    def declare(self, words: Words) -> str:
+    def declare(self, words: LineWords) -> str:
         """Declaration of a kind of target with its sigmas; returns a note. Raises RecordError."""
-        name = words.first(5, "a target needs its name and four sigmas")[0]
+        name = words.first_words(5, "a target needs its name and four sigmas")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
         correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
         azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")
-        self.targets[name] = Sigmas(azimuth, elevation, distance, ppm, height)
+        self.targets[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (
-            f"target {shown(name)}: its correction of distances of {correction:g} m is not applied"
+            f"target {quoted_text(name)}: its correction of distances of {correction:g} m is not applied"
             if correction
             else ""
         )
@@ -228,6 +245,6 @@ class Polar:
         return Noise(
             distance_mm=max(sigmas.distance, 1e-6),
             distance_ppm=sigmas.ppm,
-            azimuth_arcsec=max(sigmas.azimuth * CC / ARCSECOND, 1e-6),
-            elevation_arcsec=max(sigmas.elevation * CC / ARCSECOND, 1e-6),
+            azimuth_arcsec=max(sigmas.azimuth * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
+            elevation_arcsec=max(sigmas.elevation * CENTESIMAL_SECOND / ARCSECOND, 1e-6),
         )

@@ -22,31 +22,39 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.units import EARTH, GON, MILLIMETRE
+from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, as_title, read_lines, shown
+from ltsim.recordings.files import SourceLocation, as_title, quoted_text, read_lines
 from ltsim.recordings.formats.cern_declared import (
     FIXED_AXES,
     FIXED_SIGMA_M,
     DeclaredPoint,
-    Polar,
-    Words,
-    observed_point,
-    point_of,
+    LineWords,
+    PolarInstrument,
+    parse_observed_point,
+    parse_point,
 )
-from ltsim.recordings.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
+from ltsim.recordings.pointings import (
+    NOT_MEASURED,
+    ObservationKind,
+    SingleObservation,
+    merge_observations,
+    numbered_name,
+    recording_of_pointings,
+    separate_constant_heights,
+)
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
 
-OBSERVATIONS: dict[str, tuple[Kind, ...]] = {
+OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "PLR3D": ("azimuth", "elevation", "distance"),
     "ANGL": ("azimuth",),
     "ZEND": ("elevation",),
     "DIST": ("distance",),
     "DHOR": ("distance",),
 }
-CURVED = ("RS2K", "LEP", "SPHE")
-OPTIONS = (
+CURVED_KEYWORDS = ("RS2K", "LEP", "SPHE")
+OPTION_KEYWORDS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
@@ -72,9 +80,9 @@ class _File:
     framed: list[str] = field(default_factory=list)
     placed: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation: list[str] = field(default_factory=list)
-    polar: dict[str, Polar] = field(default_factory=dict)
+    polar: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
-    observed: list[Observed] = field(default_factory=list)
+    observed: list[SingleObservation] = field(default_factory=list)
     skipped: dict[str, int] = field(default_factory=dict)
     switched_off: int = 0
     notes: list[str] = field(default_factory=list)
@@ -87,7 +95,7 @@ class _File:
     def stand(self, setup: _SetUp) -> None:
         """Addition of a set-up; a repeated set-up on a point gets a number."""
         count = sum(s.point == setup.point for s in self.setups.values())
-        self.setups[numbered(setup.point, count)] = setup
+        self.setups[numbered_name(setup.point, count)] = setup
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -110,64 +118,64 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             if keyword == "FRAME":
                 file.frames.append(" ".join(words.tokens[1:2]))
             if not in_frame:
-                _begin(keyword, Words(words.tokens[1:], words.where), file)
+                _begin_block(keyword, LineWords(words.tokens[1:], words.location), file)
         elif in_frame and keyword == "OBSXYZ":
             file.framed.append(first)
-        elif in_frame or not _line(keyword, words, file):
+        elif in_frame or not _process_line(keyword, words, file):
             file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
         if keyword == "END":
             break
     if keyword != "END" or in_frame:
         missing = "*ENDFRAME" if in_frame else "*END"
         raise RecordError(f"the file ends without {missing} and is incomplete", file=path)
-    return _finished(file)
+    return _make_recording(file)
 
 
-def _lines(file: _File) -> Iterator[Words]:
+def _lines(file: _File) -> Iterator[LineWords]:
     """Words of every line that is not empty; comments after % and $ are dropped."""
     for i, line in enumerate(read_lines(file.path, liberal=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
-            yield Words(text.split(), SourceLocation(file.path, i + 1))
+            yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
-def _begin(keyword: str, rest: Words, file: _File) -> None:
-    if keyword in CURVED:
+def _begin_block(keyword: str, rest: LineWords, file: _File) -> None:
+    if keyword in CURVED_KEYWORDS:
         file.curved = keyword
     elif keyword == "POLAR":
-        name, default, _ = rest.first(3, "*POLAR needs an instrument, its default target and a height")
-        file.polar[rest.where.name(name, "instrument")] = Polar(default, rest.numbers(2, "height")[0])
+        name, default, _ = rest.first_words(3, "*POLAR needs an instrument, its default target and a height")
+        file.polar[rest.location.name(name, "instrument")] = PolarInstrument(default, rest.numbers(2, "height")[0])
     elif keyword == "TSTN":
         _begin_setup(rest, file)
     elif keyword == "V0":
         _begin_set(rest, file)
-    elif keyword not in (*OPTIONS, *FIXED_AXES, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
+    elif keyword not in (*OPTION_KEYWORDS, *FIXED_AXES, *OBSERVATION_KEYWORDS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
-def _begin_setup(rest: Words, file: _File) -> None:
+def _begin_setup(rest: LineWords, file: _File) -> None:
     instrument = "".join(rest.tokens[1:2])
     if instrument not in file.polar:
-        given = shown(instrument) or "nothing"
-        raise rest.where.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
-    point = rest.where.name(rest.tokens[0], "station")
+        given = quoted_text(instrument) or "nothing"
+        raise rest.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
+    point = rest.location.name(rest.tokens[0], "station")
     if point not in file.points:
-        raise rest.where.error(f"the set-up is on {point}, which no block of points declares")
+        raise rest.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = rest.options(2), file.polar[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
     file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_set(rest: Words, file: _File) -> None:
+def _begin_set(rest: LineWords, file: _File) -> None:
     """Begin of an orientation.
 
     The first one of a set-up belongs to it, a further one creates another set-up on the same point.
     """
     if not file.setups:
-        raise rest.where.error("*V0 without a set-up (*TSTN) before it")
+        raise rest.location.error("*V0 without a set-up (*TSTN) before it")
     options, name = rest.options(0), file.station
     setup = file.setups[name]
     default = options.values.get("TRGT", setup.default)
@@ -178,33 +186,33 @@ def _begin_set(rest: Words, file: _File) -> None:
         file.setups[name] = setup
 
 
-def _line(keyword: str, words: Words, file: _File) -> bool:
+def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
     """Processing of a line of the current block; returns False if blocks of this kind are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
     elif keyword in FIXED_AXES:
-        name, point = point_of(keyword, words)
+        name, point = parse_point(keyword, words)
         if name in file.points:
-            raise words.where.error(f"the point {name} is declared twice")
+            raise words.location.error(f"the point {name} is declared twice")
         file.points[name] = point
     elif keyword == "OBSXYZ" and not file.curved:
-        file.placed.append(observed_point(words))
+        file.placed.append(parse_observed_point(words))
     elif keyword == "PDOR":
         file.orientation.append(words.tokens[0])
     elif keyword == "POLAR":
         file.notes += filter(None, [file.polar[next(reversed(file.polar))].declare(words)])
-    elif keyword in OBSERVATIONS:
+    elif keyword in OBSERVATION_KEYWORDS:
         _observation(keyword, words, file)
     else:
-        return keyword in OPTIONS
+        return keyword in OPTION_KEYWORDS
     return True
 
 
-def _observation(keyword: str, words: Words, file: _File) -> None:
-    kinds, where = OBSERVATIONS[keyword], words.where
+def _observation(keyword: str, words: LineWords, file: _File) -> None:
+    kinds, where = OBSERVATION_KEYWORDS[keyword], words.location
     if not file.setups:
         raise where.error(f"*{keyword} without a set-up (*TSTN) before it")
-    words.first(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
+    words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = file.setups[file.station]
     target = where.name(words.tokens[0], "target")
     if target not in file.points:
@@ -212,15 +220,15 @@ def _observation(keyword: str, words: Words, file: _File) -> None:
     options = words.options(1 + len(kinds))
     used, declared = options.values.get("TRGT", setup.default), file.polar[setup.instrument].targets
     if used not in declared:
-        raise where.error(f"the target {shown(used)} is not declared with instrument {setup.instrument}")
+        raise where.error(f"the target {quoted_text(used)} is not declared with instrument {setup.instrument}")
     height = options.number("TH", declared[used].height)
     for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
-        si, sigma = _si(kind, value, setup, where), declared[used].of(kind, options, value)
-        heights = setup.height, NAN if kind == "azimuth" else height, keyword == "DHOR"
-        file.observed.append(Observed(kind, file.station, target, si, sigma, *heights, where.row or 0))
+        si, sigma = _reading_in_si(kind, value, setup, where), declared[used].sigma_of(kind, options, value)
+        heights = setup.height, NOT_MEASURED if kind == "azimuth" else height, keyword == "DHOR"
+        file.observed.append(SingleObservation(kind, file.station, target, si, sigma, *heights, where.row or 0))
 
 
-def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float:
+def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, where: SourceLocation) -> float:
     """Reading [m, rad] with counter-clockwise azimuth, and elevation in place of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
@@ -233,20 +241,24 @@ def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float
     return value
 
 
-def _finished(file: _File) -> Recording:
-    pointings, instrument_heights, target_heights = settled_heights(merged(file.observed, file.path.name))
+def _make_recording(file: _File) -> Recording:
+    pointings, instrument_heights, target_heights = separate_constant_heights(
+        merge_observations(file.observed, file.path.name)
+    )
     if not pointings:
         raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
-    _learn(file)
+    _use_observed_coordinates(file)
     marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
-    plane = _Plane.of([file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved)
+    plane = _TangentPlane.from_points(
+        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved
+    )
     setup = Setup(
         title=as_title(" ".join(file.title)),
         instruments={name: polar.instrument(name) for name, polar in file.polar.items()},
         stations={
             name: Station(
-                **plane.upright(file.points[s.point], levelled=s.levelled),
+                **plane.setup_keys(file.points[s.point], levelled=s.levelled),
                 instrument=s.instrument,
                 instrument_height_mm=instrument_heights.get(name, 0.0),
                 over=s.point if s.point in marks else None,
@@ -255,17 +267,19 @@ def _finished(file: _File) -> Recording:
         },
         targets={
             name: Target(
-                **plane.control(file.points[name]),
+                **plane.coordinate_keys(file.points[name]),
                 datum=name in file.orientation,
                 height_mm=target_heights.get(name, 0.0),
             )
             for name in dict.fromkeys([*targets, *marks])
         },
     )
-    return recording_of(pointings, setup, notes=list(dict.fromkeys([*file.notes, *_notes(file)])), file=file.path)
+    return recording_of_pointings(
+        pointings, setup, notes=list(dict.fromkeys([*file.notes, *_notes(file)])), file=file.path
+    )
 
 
-def _learn(file: _File) -> None:
+def _use_observed_coordinates(file: _File) -> None:
     """Use of the observed coordinates of points that are not fixed."""
     for name, place, covariance in file.placed:
         if name not in file.points:
@@ -273,49 +287,51 @@ def _learn(file: _File) -> None:
         if file.points[name].is_fixed:
             file.notes.append(f"*OBSXYZ of {name}: the point is fixed, so that its observed coordinates are not used")
         else:
-            file.points[name].add(place, covariance)
+            file.points[name].add_observation(place, covariance)
 
 
 @dataclass(frozen=True)
-class _Plane:
-    """Tangent plane of the curved reference in the middle of the network: `middle` (2,) [m] in plan."""
+class _TangentPlane:
+    """Tangent plane of the curved reference in the middle of the network: `centre` (2,) [m] in plan."""
 
-    middle: Floats
+    centre: Floats
     curved: bool
 
     @classmethod
-    def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
+    def from_points(cls, points: list[DeclaredPoint], curved: str) -> _TangentPlane:
         """Plane around the median of the points in use; points at 0, 0 are placeholders."""
-        placed = [point.place[:2] for point in points if not point.is_placeholder]
+        placed = [point.declared_point[:2] for point in points if not point.is_placeholder]
         return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
 
-    def place(self, place: Floats) -> Vector:
+    def plane_coordinates(self, place: Floats) -> Vector:
         """Coordinates [mm] of a place in the plane."""
         x, y, height = place.tolist()
-        drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
+        drop = float(np.sum((place[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
-    def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
+    def setup_keys(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """Keys of a set-up over a point: its place and direction of the vertical."""
-        keys: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
+        keys: dict[str, Any] = (
+            {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
+        )
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
         if levelled and self.curved and keys.get("position_mm"):
-            x, y = ((point.place[:2] - self.middle) / EARTH).round(12).tolist()
+            x, y = ((point.declared_point[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
             keys["vertical"] = (x, y, 1.0)
         return keys
 
-    def control(self, point: DeclaredPoint) -> dict[str, Any]:
+    def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
         """Keys of a target's coordinates: known along some axes, approximate along the others."""
         axes = point.axes
         if axes is None:
-            return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
-        place, covariance = point.estimate
-        keys: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
+            return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
+        place, covariance = point.point_and_covariance
+        keys: dict[str, Any] = {"known_mm": self.plane_coordinates(place), "known_axes": axes}
         keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
         if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
-        return keys if axes == "xyz" else keys | {"approximate_mm": self.place(point.place)}
+        return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_point)}
 
 
 def _notes(file: _File) -> Iterator[str]:
@@ -324,9 +340,9 @@ def _notes(file: _File) -> Iterator[str]:
     for keyword, count in file.skipped.items():
         curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
         why = curved if keyword == "OBSXYZ" else "is not understood here"
-        yield f"*{shown(keyword)} {why} and skipped ({count} lines)"
+        yield f"*{quoted_text(keyword)} {why} and skipped ({count} lines)"
     if file.framed:
-        frames = ", ".join(map(shown, file.frames))
+        frames = ", ".join(map(quoted_text, file.frames))
         sentence = f"*OBSXYZ observes {len(file.framed)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.framed):
             yield f"{sentence}; all of them are fixed, so they only locate that frame"
@@ -336,4 +352,4 @@ def _notes(file: _File) -> Iterator[str]:
         sphere = "heights refer to a curved surface: ltsim uses a sphere, so plumb lines differ by place"
         yield f"*{file.curved}: {sphere}"
     for name in file.orientation:
-        yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"
+        yield f"*PDOR: the frame is oriented by the approximate coordinates of {quoted_text(name)}"

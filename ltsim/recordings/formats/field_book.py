@@ -7,13 +7,19 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.air import NO_AIR
-from ltsim.recordings.curvature import on_round_earth
+from ltsim.recordings.air import NO_AIR_UNCERTAINTY
+from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import SourceLocation
-from ltsim.recordings.pointings import NAN, Pointing, numbered, recording_of, settled_heights
+from ltsim.recordings.pointings import (
+    NOT_MEASURED,
+    Pointing,
+    numbered_name,
+    recording_of_pointings,
+    separate_constant_heights,
+)
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recordings.setup import Setup, Station, Target, Vector
-from ltsim.recordings.specification import LIKE_TOTAL_STATION, TOTAL_STATION
+from ltsim.recordings.specification import TOTAL_STATION, TOTAL_STATION_NOTE
 
 
 @dataclass
@@ -27,13 +33,13 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
 
-    def stand(self, name: str, height: float, place: Vector | None, where: SourceLocation) -> None:
+    def add_setup(self, name: str, height: float, place: Vector | None, where: SourceLocation) -> None:
         """Addition of a set-up; a station that is occupied again gets a number."""
         count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
-        self.station = numbered(name, count)
+        self.station = numbered_name(name, count)
         self.setups[self.station] = (name, height, place)
 
-    def point(
+    def add_pointing(
         self,
         target: str,
         where: SourceLocation,
@@ -41,7 +47,7 @@ class FieldBook:
         distance: float,
         horizontal: float,
         zenith: float,
-        height: float = NAN,
+        height: float = NOT_MEASURED,
         flat: bool = False,
     ) -> None:
         """Addition of a pointing: distance [m], clockwise circle and zenith angle [rad], NaN if not measured.
@@ -52,7 +58,7 @@ class FieldBook:
         """
         if not self.station:
             raise where.error("a measurement before any station is named; give --hint station=NAME")
-        distance = distance or NAN
+        distance = distance or NOT_MEASURED
         if not (np.isnan(distance) or 0 < distance < 1e6):
             raise where.error(f"a distance of {distance:g} m")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
@@ -75,7 +81,7 @@ class FieldBook:
             )
         )
 
-    def recording(self, kind: str, *notes: str) -> Recording:
+    def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
 
         `kind` names the format in its notes.
@@ -84,7 +90,7 @@ class FieldBook:
         """
         if not self.pointings:
             raise RecordError("holds no measurements", file=self.path)
-        pointings, _, heights = settled_heights(self.pointings)
+        pointings, _, heights = separate_constant_heights(self.pointings)
         targets = {p.target for p in pointings}
         stations = {}
         for name in dict.fromkeys(p.station for p in pointings):
@@ -97,10 +103,10 @@ class FieldBook:
             )
         setup = Setup(
             title=self.path.stem,
-            air=NO_AIR,
+            air=NO_AIR_UNCERTAINTY,
             instrument=TOTAL_STATION,
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        all_notes = [LIKE_TOTAL_STATION.format(reason=f"it is {kind}"), *notes]
-        return on_round_earth(recording_of(pointings, setup, notes=all_notes, file=self.path))
+        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *notes]
+        return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))

@@ -10,12 +10,12 @@ from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import shown
-from ltsim.recordings.pointings import Observed, numbered
+from ltsim.recordings.files import quoted_text
+from ltsim.recordings.pointings import SingleObservation, numbered_name
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import Node, banded
+from ltsim.recordings.xml import XmlNode, band_matrix_entries
 
-FIXED_MM = 1e-4
+FIXED_SIGMA_MM = 1e-4
 """Standard deviation [mm] of a fixed coordinate."""
 
 
@@ -27,7 +27,7 @@ class GamaPoint:
     fixed: str = ""
     datum: str = ""
     active: str = ""
-    sigma: float = FIXED_MM
+    sigma: float = FIXED_SIGMA_MM
     covariance: tuple[float, ...] | None = None
     """Covariance xx, xy, xz, yy, yz, zz [mm^2]; None if not given."""
 
@@ -54,10 +54,10 @@ class GamaNetwork:
     stdev: dict[str, str] = field(default_factory=dict)
     points: dict[str, GamaPoint] = field(default_factory=dict)
     sets: Counter[str] = field(default_factory=Counter)
-    over: dict[str, str] = field(default_factory=dict)
-    north: float = 0.0  # [deg] counter-clockwise from x
+    point_of_station: dict[str, str] = field(default_factory=dict)
+    north_direction_deg: float = 0.0  # [deg] counter-clockwise from x
     oriented: set[str] = field(default_factory=set)  # set-ups of azimuths: their circles are zero in the north
-    observed: list[Observed] = field(default_factory=list)
+    observed: list[SingleObservation] = field(default_factory=list)
     apriori: float = 10.0  # [mm, cc] standard deviation of unit weight
     differences: list[ReferenceDifference] = field(default_factory=list)
     skipped: Counter[str] = field(default_factory=Counter)
@@ -67,8 +67,8 @@ class GamaNetwork:
     def station(self, point: str, *, with_directions: bool = False) -> str:
         """Name of the set-up over a point; each further set of directions gets another set-up."""
         self.sets[point] += with_directions
-        name = numbered(point, max(self.sets[point] - 1, 0))
-        self.over[name] = point
+        name = numbered_name(point, max(self.sets[point] - 1, 0))
+        self.point_of_station[name] = point
         return name
 
 
@@ -82,7 +82,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
         return
     observed = []
     for o in network.observed:
-        in_plan = bool({network.over[o.station], o.target} & flat)
+        in_plan = bool({network.point_of_station[o.station], o.target} & flat)
         if not in_plan or o.kind == "azimuth" or o.horizontal:
             observed.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
     joined = [
@@ -105,7 +105,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
     network.observed = observed
 
 
-def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed]]:
+def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], list[SingleObservation]]:
     """Slope distances that become reference lengths, and all other observations.
 
     Such a distance is between marks that others observe, from a point without other measurements.
@@ -114,7 +114,7 @@ def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed
     targets = {o.target for o in network.observed if o.station in angles}
     gauge, rest = [], []
     for o in network.observed:
-        start = network.over[o.station]
+        start = network.point_of_station[o.station]
         if o.station in angles or start == o.target or not {start, o.target} <= targets or any(o.heights) or o.shared:
             rest.append(o)
         else:
@@ -123,43 +123,43 @@ def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed
     return gauge, rest
 
 
-def named(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
+def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """Differences with a number where several join the same points, such as a line that was levelled twice."""
     before: Counter[str] = Counter()
     for difference in differences:
         number = before[difference.called]
         before[difference.called] += 1
-        yield difference.model_copy(update={"name": numbered(difference.called, number)}) if number else difference
+        yield difference.model_copy(update={"name": numbered_name(difference.called, number)}) if number else difference
 
 
-MAX_SHARED = 500
+MAX_CORRELATED_OBSERVATIONS = 500
 """Largest number of correlated observations in a file: each shared error is an unknown of the adjustment."""
-EIGENVALUE_TOLERANCE = 1e-6
+MAX_ZERO_EIGENVALUE = 1e-6
 """Eigenvalue of a correlation matrix that counts as zero, and relative difference up to which two count as equal."""
 
 
-def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
+def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form [mm^2] or [cc^2]."""
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    values = [matrix.where.number(word, "cov-mat") for word in matrix.text.split()]
-    return banded(matrix, matrix.number("dim"), matrix.number("band"), values)
+    values = [matrix.location.number(word, "cov-mat") for word in matrix.text.split()]
+    return band_matrix_entries(matrix, matrix.number("dim"), matrix.number("band"), values)
 
 
-def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
+def read_differences(section: XmlNode, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
     """Height differences or vectors of a section, and a flag that correlations between them were ignored.
 
     A height difference without a standard deviation has `apriori` mm times the square root of its length in kilometres.
     """
     inner = [child for child in section if child.tag != "cov-mat"]
     tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
-    row, column, numbers = covariances(section)
+    row, column, numbers = covariance_entries(section)
     wrong = next((child for child in inner if child.tag != tag), None)
     if wrong is not None:
-        raise wrong.where.error(f"<{shown(wrong.tag)}> is in <{section.tag}>, expected <{tag}>")
+        raise wrong.location.error(f"<{quoted_text(wrong.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(inner):
-        raise section.where.error("a <cov-mat> that does not match its observations")
+        raise section.location.error("a <cov-mat> that does not match its observations")
     whole, differences = np.zeros((size * len(inner),) * 2), []
     whole[row, column] = whole[column, row] = numbers
     for k, child in enumerate(inner):
@@ -170,38 +170,40 @@ def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[R
     return differences, bool(whole.any())
 
 
-def _sigma(child: Node, apriori: float) -> float:
+def _sigma(child: XmlNode, apriori: float) -> float:
     """Standard deviation [mm] as declared, or from the length of a levelling line."""
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
-        raise child.where.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
+        raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
     value = max(child.number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori * float(np.sqrt(value))
 
 
-def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifference:
+def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDifference:
     """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
     ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
     if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
         message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
-        raise child.where.error(f"{message}; expected one between the marks, without from_dh and to_dh")
+        raise child.location.error(f"{message}; expected one between the marks, without from_dh and to_dh")
     precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(spread[-1, -1], 0.0)))}
     if child.tag == "vec":
         sign = np.array([1.0, y_sign, 1.0])
         precision = {"known_covariance_mm2": tuple((spread * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
     vector = tuple(round(value / MILLIMETRE, 9) for value in (x, y_sign * y, z))
     if ends["from"] == ends["to"]:
-        raise child.where.error(f"<{child.tag}> goes from a point to itself, expected two points")
+        raise child.location.error(f"<{child.tag}> goes from a point to itself, expected two points")
     try:
         return ReferenceDifference.model_validate({**ends, "known_mm": vector, **precision})
     except ValidationError:
         wanted = "values below 1e8 m, and variances that are positive in every direction"
-        raise child.where.error(f"<{child.tag}> is too large, or its covariance is wrong, expected {wanted}") from None
+        raise child.location.error(
+            f"<{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
+        ) from None
 
 
-def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
+def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
     """Standard deviations (n,) of the independent parts of observations, and effects (n, q) of q shared errors.
 
     With effects F and independent standard deviations on the diagonal of D, the declared covariance is D^2 + F F'. F
@@ -210,15 +212,16 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):
-        raise block.where.error("a <cov-mat> whose variances are not all above 0")
+        raise block.location.error("a <cov-mat> whose variances are not all above 0")
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
-    if before + len(sigma) > MAX_SHARED:
+    if before + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
         message = (
-            f"more than {MAX_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
+            f"more than {MAX_CORRELATED_OBSERVATIONS} observations are correlated, expected fewer; give "
+            "variances alone with band 0"
         )
-        raise block.where.error(message)
+        raise block.location.error(message)
     correlation = np.zeros((len(sigma),) * 2)
     correlation[row, column] = correlation[column, row] = numbers / (sigma[row] * sigma[column])
     linked, reach = correlation != 0.0, []
@@ -227,9 +230,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     for first in np.unique(np.argmax(linked, axis=1)).tolist():
         if len(group := np.flatnonzero(linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
-            if values[0] < EIGENVALUE_TOLERANCE:
-                raise block.where.error("a <cov-mat> that is not positive definite")
-            more = values > values[0] * (1.0 + EIGENVALUE_TOLERANCE)
+            if values[0] < MAX_ZERO_EIGENVALUE:
+                raise block.location.error("a <cov-mat> that is not positive definite")
+            more = values > values[0] * (1.0 + MAX_ZERO_EIGENVALUE)
             factors = np.zeros((len(sigma), int(more.sum())))
             factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
             reach.append(factors)

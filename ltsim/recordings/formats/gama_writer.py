@@ -10,14 +10,14 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recordings.files import write_text
-from ltsim.recordings.formats.gama import CC
-from ltsim.recordings.formats.gama_network import FIXED_MM
+from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
+from ltsim.recordings.formats.gama_network import FIXED_SIGMA_MM
 from ltsim.recordings.recording import SHARED_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
-from ltsim.recordings.setup import Target, Vector, symmetric
+from ltsim.recordings.setup import Target, Vector, symmetric_matrix
 
-SPACE = "http://www.gnu.org/software/gama/gama-local"
+ALL_AXES = "http://www.gnu.org/software/gama/gama-local"
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -39,7 +39,7 @@ def write(recording: Recording, path: Path) -> None:
             raise RecordError(f"{message}; set levelled = true in setup.toml if it is levelled", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<gama-local xmlns="{SPACE}">',
+        f'<gama-local xmlns="{ALL_AXES}">',
         '<network axes-xy="en" angles="right-handed">',
         f"<description>{escape(recording.setup.title)}</description>",
         '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',
@@ -55,7 +55,7 @@ def write(recording: Recording, path: Path) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _point_of(recording: Recording, station: str) -> str:
+def _point_under_station(recording: Recording, station: str) -> str:
     """Name of the point under a station: a target's mark, or a separate point."""
     over = recording.station_setup(station).over
     if over is not None:
@@ -72,37 +72,37 @@ def _point_lines(recording: Recording) -> Iterator[str]:
     for name in names:
         target = recording.target_setup(name)
         place = target.known_mm or target.approximate_mm or first.get(name)
-        words = "" if place is None else _words(place)
+        words = "" if place is None else _coordinate_attributes(place)
         datum = target.datum or name in first
         if target.known_mm is None:
             yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
-        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_MM:
+        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_SIGMA_MM:
             rest = "".join(a for a in "xyz" if a not in target.known_axes)
             adjusted = f' adj="{rest}"' if rest else ""
             yield f'<point id={quoteattr(name)}{words} fix="{target.known_axes}"{adjusted} />'
         else:
             yield f'<point id={quoteattr(name)}{words} adj="xyz" />'
             observed.append((name, target))
-    for name in dict.fromkeys(_point_of(recording, s) for s in recording.stations):
+    for name in dict.fromkeys(_point_under_station(recording, s) for s in recording.stations):
         if name not in names:
             yield f'<point id={quoteattr(name)} adj="xyz" />'
     for name, target in observed:
         yield from _coordinate_lines(name, target)
 
 
-def _words(place: Vector, axes: str = "xyz") -> str:
+def _coordinate_attributes(place: Vector, axes: str = "xyz") -> str:
     """Coordinates [mm] as XML attributes in metres."""
     values = zip("xyz", place, strict=True)
     return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
-    words = _words(target.known_mm, target.known_axes) if target.known_mm is not None else ""
+    words = _coordinate_attributes(target.known_mm, target.known_axes) if target.known_mm is not None else ""
     yield f"<coordinates><point id={quoteattr(name)}{words} />"
     at, band = ["xyz".index(axis) for axis in target.known_axes], 0
     matrix = np.eye(3) * target.known_sigma_mm**2
     if target.known_covariance_mm2 is not None:
-        matrix, band = symmetric(target.known_covariance_mm2), len(at) - 1
+        matrix, band = symmetric_matrix(target.known_covariance_mm2), len(at) - 1
     block = matrix[np.ix_(at, at)].tolist()
     numbers = " ".join(repr(block[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
     yield f'<cov-mat dim="{len(at)}" band="{band}">{numbers}</cov-mat></coordinates>'
@@ -120,16 +120,16 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
     instrument, target_height = (h.tolist() for h in recording.heights())
     flat = recording.is_horizontal
     for s, station in enumerate(recording.stations):
-        yield f"<obs from={quoteattr(_point_of(recording, station))}>"
+        yield f"<obs from={quoteattr(_point_under_station(recording, station))}>"
         for i in np.flatnonzero(recording.station == s).tolist():
             (distance, azimuth, elevation), (sd, sa, se) = front[i].tolist(), sigma[i].tolist()
             start = f' from_dh="{instrument[i]!r}"' if instrument[i] else ""
             end = f' to_dh="{target_height[i]!r}"' if target_height[i] else ""
             to = f"to={quoteattr(recording.targets[recording.target[i]])}{start}{end}"
             if np.isfinite(azimuth):
-                yield f'<direction {to} val="{azimuth % (2 * np.pi) / GON!r}" stdev="{sa / CC!r}" />'
+                yield f'<direction {to} val="{azimuth % (2 * np.pi) / GON!r}" stdev="{sa / CENTESIMAL_SECOND!r}" />'
             if np.isfinite(elevation):
-                yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CC!r}" />'
+                yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CENTESIMAL_SECOND!r}" />'
             if np.isfinite(distance):
                 kind = "distance" if flat[i] else "s-distance"
                 yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
@@ -138,9 +138,9 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 def _length_lines(recording: Recording) -> Iterator[str]:
     """Elements of the gauge lengths at the temperature of the measurement."""
-    lengths = ReferenceLengths.of(recording)
-    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first, lengths.second)]
-    for first, second, length, sigma in zip(*ends, lengths.length.tolist(), lengths.sigma.tolist(), strict=True):
+    lengths = ReferenceLengths.from_recording(recording)
+    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
+    for first, second, length, sigma in zip(*ends, lengths.lengths.tolist(), lengths.sigma.tolist(), strict=True):
         yield f"<obs from={first}>"
         yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"
@@ -152,12 +152,12 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
         ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"
         matrix = np.eye(3) * difference.known_sigma_mm**2
         if difference.known_covariance_mm2 is not None:
-            matrix = symmetric(difference.known_covariance_mm2)
+            matrix = symmetric_matrix(difference.known_covariance_mm2)
         if difference.known_axes == "z":
             value, stdev = round(difference.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
             yield f'<height-differences><dh {ends} val="{value!r}" stdev="{stdev!r}" /></height-differences>'
         elif difference.known_axes == "xyz":
-            words = "".join(f" d{word}" for word in _words(difference.known_mm).split())
+            words = "".join(f" d{word}" for word in _coordinate_attributes(difference.known_mm).split())
             numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:

@@ -16,15 +16,15 @@ import numpy as np
 
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, read_lines, shown
+from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
 from ltsim.recordings.formats.field_book import FieldBook
-from ltsim.recordings.pointings import NAN
+from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
-_WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
-_PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
-LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
-ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+_WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
+_PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
+LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
 """Factors to rad by the last character of the information field; unit 4 is degrees, minutes and seconds."""
 
 
@@ -40,15 +40,15 @@ class _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
-            match = _WORD.fullmatch(text)
-            if _PPM.fullmatch(text):
+            match = _WORD_PATTERN.fullmatch(text)
+            if _PPM_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != wide:
-                raise where.error(f"'{shown(text)}' is not a word of GSI-{16 if wide else 8}")
+                raise where.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, where)
 
-    def holds(self, *keys: str) -> bool:
+    def has_words(self, *keys: str) -> bool:
         return all(key in self.words for key in keys)
 
     def name(self, key: str) -> str:
@@ -58,9 +58,9 @@ class _GsiLine:
     def _number(self, key: str) -> float:
         digits = self.words[key][1].replace(" ", "")
         if re.fullmatch(r"[+-]-+", digits):
-            return NAN
+            return NOT_MEASURED
         if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-            raise self.where.error(f"found '{shown(self.words[key][1])}', expected digits")
+            raise self.where.error(f"found '{quoted_text(self.words[key][1])}', expected digits")
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
@@ -68,22 +68,22 @@ class _GsiLine:
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
-        if unit not in LENGTH:
-            raise self.where.error(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8")
-        return self._number(key) * LENGTH[unit]
+        if unit not in LENGTH_FACTORS:
+            raise self.where.error(f"unit '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+        return self._number(key) * LENGTH_FACTORS[unit]
 
     def angle(self, key: str) -> float:
         """Angle [rad] from gon, decimal degrees, degrees-minutes-seconds or mils (6400 per circle)."""
         if key not in self.words:
-            return NAN
+            return NOT_MEASURED
         unit, value = self.words[key][0][-1], self._number(key)
         if unit == "4":
             degrees, rest = divmod(abs(value), 1e5)
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
-        if unit not in ANGLE and not np.isnan(value):
-            raise self.where.error(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5")
-        return value * ANGLE.get(unit, NAN)
+        if unit not in ANGLE_FACTORS and not np.isnan(value):
+            raise self.where.error(f"unit '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
+        return value * ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -100,7 +100,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     file = FieldBook(path)
     if hints.station is not None:
-        file.stand(hints.station, 0.0, None, SourceLocation(path))
+        file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
     before = _GsiLine({}, SourceLocation(path))
     for i, line in enumerate(lines):
@@ -108,30 +108,30 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
                 raise block.where.error("the last line has no line break and is incomplete")
-            _take(block, file)
+            _process_block(block, file)
             before = block
     notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
-    return file.recording("a GSI file", *notes)
+    return file.make_recording("a GSI file", *notes)
 
 
-def _take(block: _GsiLine, file: FieldBook) -> None:
-    if block.holds("41", "42"):
-        file.stand(block.name("42"), block.length("43"), None, block.where)
-    elif block.holds("84", "85", "11") and not block.holds("21"):
+def _process_block(block: _GsiLine, file: FieldBook) -> None:
+    if block.has_words("41", "42"):
+        file.add_setup(block.name("42"), block.length("43"), None, block.where)
+    elif block.has_words("84", "85", "11") and not block.has_words("21"):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
-        file.stand(block.name("11"), block.length("88"), (x, y, z), block.where)
-    elif block.holds("11") and any(block.holds(key) for key in ("21", "22", "31", "32")):
+        file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.where)
+    elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
         _pointing(block, file)
     else:
         file.skipped += 1
 
 
 def _pointing(block: _GsiLine, file: FieldBook) -> None:
-    flat = not block.holds("31")
-    file.point(
+    flat = not block.has_words("31")
+    file.add_pointing(
         block.name("11"),
         block.where,
-        distance=block.length("32" if flat else "31", NAN),
+        distance=block.length("32" if flat else "31", NOT_MEASURED),
         horizontal=block.angle("21"),
         zenith=block.angle("22"),
         height=block.length("87"),

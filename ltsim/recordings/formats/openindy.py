@@ -16,26 +16,26 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import as_title, shown
-from ltsim.recordings.pointings import NAN, Pointing, recording_of, states_noise
+from ltsim.recordings.files import as_title, quoted_text
+from ltsim.recordings.pointings import NOT_MEASURED, Pointing, declares_noise, recording_of_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import NO_NOISE
-from ltsim.recordings.xml import Node, parse
+from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.xml import XmlNode, parse_xml
 
-ROOT = "oiProjectData"
-WANTED = {
+ROOT_ELEMENT = "oiProjectData"
+READING_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
     "direction": ("azimuth", "zenith"),
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
-SIGMAS = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
+SIGMA_ATTRIBUTES = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
 
 
 def recognises(path: Path, head: str) -> bool:
     """True if the root element is an OpenIndy project."""
-    return f"<{ROOT}" in head
+    return f"<{ROOT_ELEMENT}" in head
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -43,14 +43,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for XML that is malformed or unsafe, or a reading that lacks a measurement.
     """
-    root = parse(path)
-    if root.tag != ROOT:
-        raise RecordError(f"the root is <{shown(root.tag)}>, expected <{ROOT}>", file=path)
-    named = [node for node in root.inside("station", "geometry", "nominalGeometry") if node.get("name")]
-    stations = {node.attribute("id"): node for node in named if node.tag == "station"}
-    geometries = {node.attribute("id"): node for node in named if node.tag != "station"}
+    root = parse_xml(path)
+    if root.tag != ROOT_ELEMENT:
+        raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
+    named = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
+    stations = {node.required_attribute("id"): node for node in named if node.tag == "station"}
+    geometries = {node.required_attribute("id"): node for node in named if node.tag != "station"}
     notes: Counter[str] = Counter()
-    readings = [_pointing(node, stations, geometries, notes) for node in root.inside("observation")]
+    readings = [_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
@@ -58,79 +58,85 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     pointings = [replace(p, time=p.time - start) for p in pointings]
     counts = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
-    recording = recording_of(pointings, setup, notes=counts, file=path)
-    return recording if states_noise(recording) else recording.replace(notes=(NO_NOISE, *recording.notes))
+    recording = recording_of_pointings(pointings, setup, notes=counts, file=path)
+    return recording if declares_noise(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 
 
 def _pointing(
-    node: Node, stations: dict[str, Node], geometries: dict[str, Node], notes: Counter[str]
+    node: XmlNode, stations: dict[str, XmlNode], geometries: dict[str, XmlNode], notes: Counter[str]
 ) -> Pointing | None:
     inner = {child.tag: child for child in node}
     if "reading" not in inner:
         return None
     if "station" not in inner:
-        raise node.where.error("an observation without its station")
-    reading, reference = inner["reading"], inner["station"].attribute("ref")
+        raise node.location.error("an observation without its station")
+    reading, reference = inner["reading"], inner["station"].required_attribute("ref")
     kind = reading.get("type")
-    if node.get("isValid") == "0" or kind not in WANTED:
+    if node.get("isValid") == "0" or kind not in READING_TYPE:
         notes[
-            f"readings of the type {shown(kind)} left out" if kind not in WANTED else "invalid readings left out"
+            f"readings of the type {quoted_text(kind)} left out"
+            if kind not in READING_TYPE
+            else "invalid readings left out"
         ] += 1
         return None
     if reference not in stations:
-        raise node.where.error(f"a reading refers to station {shown(reference)}, which does not exist")
-    measured = {m.attribute("type"): m for m in reading.inside("measurement")}
-    missing = [name for name in WANTED[kind] if name not in measured]
+        raise node.location.error(f"a reading refers to station {quoted_text(reference)}, which does not exist")
+    measured = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
+    missing = [name for name in READING_TYPE[kind] if name not in measured]
     if missing:
-        raise node.where.error(f"a {kind} reading lacks its {missing[0]}")
-    distance, azimuth, elevation = _polar({name: measured[name].number("value", limit=1e6) for name in WANTED[kind]})
+        raise node.location.error(f"a {kind} reading lacks its {missing[0]}")
+    distance, azimuth, elevation = _polar_reading(
+        {name: measured[name].number("value", limit=1e6) for name in READING_TYPE[kind]}
+    )
     if distance <= 0:
-        raise node.where.error(f"found a distance of {distance:g}, expected one above 0")
+        raise node.location.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
         notes["readings have a face that contradicts their zenith angle: the face of the zenith angle is used"] += 1
     return Pointing(
         stations[reference].name("name", "station"),
-        _target(node, geometries),
+        _target_name(node, geometries),
         face,
         distance,
         azimuth,
         elevation,
-        _seconds(reading.get("time")),
+        _seconds_of_stamp(reading.get("time")),
         _sigmas(measured),
         source=f"{node.file.name}, line {node.line}",
     )
 
 
-def _polar(values: dict[str, float]) -> tuple[float, float, float]:
+def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
     """Range, azimuth and raw elevation; NaN for a missing measurement."""
     if "x" in values:
         d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
         return d, a, e
-    elevation = np.pi / 2 - values.get("zenith", NAN) % (2 * np.pi)
+    elevation = np.pi / 2 - values.get("zenith", NOT_MEASURED) % (2 * np.pi)
     if elevation < -np.pi / 2 - 1e-9:
         elevation += 2 * np.pi
-    return values.get("distance", NAN), values.get("azimuth", NAN) % (2 * np.pi), elevation
+    return values.get("distance", NOT_MEASURED), values.get("azimuth", NOT_MEASURED) % (2 * np.pi), elevation
 
 
-def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
-    sigmas = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
+def _sigmas(measured: dict[str, XmlNode]) -> dict[str, float]:
+    sigmas = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in measured}
     unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
-    return {SIGMAS[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
+    return {SIGMA_ATTRIBUTES[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
 
 
-def _target(node: Node, geometries: dict[str, Node]) -> str:
+def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
     """Name of the target: the point geometry, or a separate name for a reading of another geometry."""
-    touched = [geometries[e.get("ref")] for e in node.inside("measuredTargetGeometry") if e.get("ref") in geometries]
+    touched = [
+        geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries
+    ]
     point = next((geometry for geometry in touched if geometry.get("type") == "point"), None)
     if point is not None:
         return point.name("name", "target")
-    number = node.attribute("id")
-    return node.where.name(f"{touched[0].get('name')}.{number}" if touched else f"observation {number}", "target")
+    number = node.required_attribute("id")
+    return node.location.name(f"{touched[0].get('name')}.{number}" if touched else f"observation {number}", "target")
 
 
-def _seconds(stamp: str) -> float:
+def _seconds_of_stamp(stamp: str) -> float:
     try:
         return datetime.fromisoformat(stamp).replace(tzinfo=None).timestamp()
     except (ValueError, OverflowError, OSError):
-        return NAN
+        return NOT_MEASURED

@@ -16,24 +16,26 @@ import numpy as np
 from ltsim.core.arrays import Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.recordings.conventions import NO_HINTS, Angle, Azimuth, Hints, Length, Vertical
-from ltsim.recordings.files import read_lines, shown, write_text
+from ltsim.recordings.conventions import NO_HINTS, AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
+from ltsim.recordings.files import quoted_text, read_lines, write_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import is_value
-from ltsim.recordings.tables.sheets import rows_of_head
+from ltsim.recordings.tables.sheets import head_rows
 
-WORDS = {name: get_args(kind) for name, kind in (("angle", Angle), ("vertical", Vertical), ("azimuth", Azimuth))}
-WORDS["length"] = get_args(Length)
-_SETTING = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
-_POLAR = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
+SETTING_WORDS = {
+    name: get_args(kind) for name, kind in (("angle", AngleUnit), ("vertical", VerticalKind), ("azimuth", AzimuthSense))
+}
+SETTING_WORDS["length"] = get_args(LengthUnit)
+_SETTING_PATTERN = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
+_POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
 
 
 def recognises(path: Path, head: str) -> bool:
     """True if the first lines are names and three numbers; without a station only if a comment declares polar text."""
-    body = [row.fields for row in rows_of_head(head) if not row.comment]
+    body = [row.fields for row in head_rows(head) if not row.is_comment]
     whole = body[: max(1, min(6, len(body) - 1))]
-    columns = (4, 5) if _POLAR.search(head) else (5,)
+    columns = (4, 5) if _POLAR_PATTERN.search(head) else (5,)
     return bool(whole) and all(len(f) in columns and all(map(is_value, f[-3:])) for f in whole)
 
 
@@ -42,19 +44,21 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed line, or for a convention that the data do not decide.
     """
-    return tables.read(path, _with_settings(read_lines(path, liberal=True), hints, path), positional=True)
+    return tables.read(path, _hints_from_comments(read_lines(path, liberal=True), hints, path), positional=True)
 
 
-def _with_settings(lines: list[str], hints: Hints, file: Path) -> Hints:
+def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
     for line in islice(lines, 50):
-        match = _SETTING.fullmatch(line)
+        match = _SETTING_PATTERN.fullmatch(line)
         if match is None:
             continue
         key, value, second = match.group(1).lower(), match.group(2).lower(), (match.group(3) or "").lower()
         settings: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
         for name, word in settings.items():
-            if word and word not in WORDS[name]:
-                message = f"'{shown(line)}' says {shown(word)}, expected one of {', '.join(WORDS[name])}"
+            if word and word not in SETTING_WORDS[name]:
+                message = (
+                    f"'{quoted_text(line)}' says {quoted_text(word)}, expected one of {', '.join(SETTING_WORDS[name])}"
+                )
                 raise RecordError(message, file=file)
         unsaid = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}
         hints = replace(hints, **unsaid)  # type: ignore[arg-type]

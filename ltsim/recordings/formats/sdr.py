@@ -12,23 +12,23 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.core.units import DEGREE, FACTOR, GON, MILLIMETRE
+from ltsim.core.units import DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, read_lines, shown
+from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
 from ltsim.recordings.formats.field_book import FieldBook
-from ltsim.recordings.pointings import NAN
+from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
-_HEADER = re.compile(r"00NMSDR(20|33)", re.ASCII)
-WIDTHS = {"20": (4, 10), "33": (16, 16)}
+_HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
+FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
 """Widths in characters of a name and of a number, by dialect."""
-ANGLE = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
-LENGTH = {"1": 1.0, "2": FACTOR["ft"]}
-UNITS_AT, ZERO_AT = slice(40, 45), 50
-"""Columns of the units in the header record, and of the digit for the zero of vertical angles in
-the instrument record.
-"""
-OBSERVED = ("09F1", "09F2")
+ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
+LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
+UNITS_COLUMN = slice(40, 45)
+"""Column of the units in the header record."""
+VERTICAL_ZERO_COLUMN = 50
+"""Column of the digit for the zero of vertical angles in the instrument record."""
+OBSERVATION_RECORDS = ("09F1", "09F2")
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,16 @@ class _Dialect:
 
     @classmethod
     def of(cls, header: str, where: SourceLocation) -> "_Dialect":
-        match = _HEADER.match(header)
+        match = _HEADER_PATTERN.match(header)
         if match is None:
-            raise where.error(f"'{shown(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
-        units = header[UNITS_AT].ljust(5, "1")
-        for digit, units_of, what in ((units[0], ANGLE, "angles"), (units[1], LENGTH, "distances")):
+            raise where.error(
+                f"'{quoted_text(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
+            )
+        units = header[UNITS_COLUMN].ljust(5, "1")
+        for digit, units_of, what in ((units[0], ANGLE_FACTORS, "angles"), (units[1], LENGTH_FACTORS, "distances")):
             if digit not in units_of:
-                raise where.error(f"unit '{shown(digit)}' of {what}, expected one of {', '.join(units_of)}")
-        return cls(*WIDTHS[match[1]], ANGLE[units[0]], LENGTH[units[1]], units[4] != "2")
+                raise where.error(f"unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}")
+        return cls(*FIELD_WIDTHS[match[1]], ANGLE_FACTORS[units[0]], LENGTH_FACTORS[units[1]], units[4] != "2")
 
     def fields(self, line: str, names: int, numbers: int) -> tuple[list[str], list[str]]:
         """The first names and numbers of a record, as text."""
@@ -65,7 +67,7 @@ class _Dialect:
 
 def recognises(_: Path, head: str) -> bool:
     """True if the first line is the header of SDR20 or SDR33."""
-    return _HEADER.match(head) is not None
+    return _HEADER_PATTERN.match(head) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -76,42 +78,42 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     book = FieldBook(path)
     lines = read_lines(path, liberal=True)
     dialect = _Dialect.of(lines[0], SourceLocation(path, 1))
-    height, from_horizon, skipped = NAN, False, 0
+    height, from_horizon, skipped = NOT_MEASURED, False, 0
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]
         if kind == "01":
-            from_horizon = line[ZERO_AT : ZERO_AT + 1] == "2"
+            from_horizon = line[VERTICAL_ZERO_COLUMN : VERTICAL_ZERO_COLUMN + 1] == "2"
         elif kind == "02":
-            _stand(line, dialect, book, where)
+            _read_setup(line, dialect, book, where)
         elif kind == "03":
-            height = _number(line[4:].split()[0] if line[4:].split() else "", where) * dialect.length
-        elif line[:4] in OBSERVED:
-            _observe(line, dialect, book, where, height=height, from_horizon=from_horizon)
+            height = _parse_number(line[4:].split()[0] if line[4:].split() else "", where) * dialect.length
+        elif line[:4] in OBSERVATION_RECORDS:
+            _read_observation(line, dialect, book, where, height=height, from_horizon=from_horizon)
         elif kind == "09":
             skipped += 1
     notes = [f"{skipped} observations that the instrument corrected or averaged are not used"] if skipped else []
-    return book.recording("an SDR file", *notes)
+    return book.make_recording("an SDR file", *notes)
 
 
-def _stand(line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation) -> None:
+def _read_setup(line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation) -> None:
     (name,), (first, second, up, height) = dialect.fields(line, 1, 4)
-    plan = [_number(text, where) * dialect.length / MILLIMETRE for text in (first, second)]
+    plan = [_parse_number(text, where) * dialect.length / MILLIMETRE for text in (first, second)]
     y, x = plan if dialect.north_first else plan[::-1]
-    z = _number(up, where) * dialect.length / MILLIMETRE
+    z = _parse_number(up, where) * dialect.length / MILLIMETRE
     place = (x, y, z) if np.isfinite([x, y, z]).all() else None
-    tall = _number(height, where)
-    book.stand(name, 0.0 if np.isnan(tall) else tall * dialect.length, place, where)
+    tall = _parse_number(height, where)
+    book.add_setup(name, 0.0 if np.isnan(tall) else tall * dialect.length, place, where)
 
 
-def _observe(
+def _read_observation(
     line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation, *, height: float, from_horizon: bool
 ) -> None:
     (station, target), cells = dialect.fields(line, 2, 3)
     if book.station and station != book.setups[book.station][0]:
-        raise where.error(f"is measured from '{shown(station)}', expected the station of the last record 02")
-    distance, vertical, horizontal = (_number(cell, where) for cell in cells)
+        raise where.error(f"is measured from '{quoted_text(station)}', expected the station of the last record 02")
+    distance, vertical, horizontal = (_parse_number(cell, where) for cell in cells)
     vertical *= dialect.angle
-    book.point(
+    book.add_pointing(
         target,
         where,
         distance=distance * dialect.length,
@@ -121,5 +123,5 @@ def _observe(
     )
 
 
-def _number(text: str, where: SourceLocation) -> float:
-    return where.number(text) if text.strip() else NAN
+def _parse_number(text: str, where: SourceLocation) -> float:
+    return where.number(text) if text.strip() else NOT_MEASURED

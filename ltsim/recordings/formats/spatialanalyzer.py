@@ -16,27 +16,27 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.units import ANGLES, FACTOR, LENGTHS, NAMED
+from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.geometry.polar import from_polar
-from ltsim.recordings.conventions import NO_HINTS, Hints, Pose
-from ltsim.recordings.files import SourceLocation, read_lines, shown
+from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
+from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
-from ltsim.recordings.specification import NO_NOISE
-from ltsim.recordings.tables.header import words_of
-from ltsim.recordings.tables.meaning import readings_of
+from ltsim.recordings.specification import NO_NOISE_NOTE
+from ltsim.recordings.tables.header import title_words_and_unit
+from ltsim.recordings.tables.meaning import interpret_readings
 from ltsim.recordings.tables.printed import PointingTable
-from ltsim.recordings.tables.reader import assembled
-from ltsim.recordings.tables.rows import table_of
-from ltsim.recordings.tables.sheets import Row, Sheet
+from ltsim.recordings.tables.reader import assemble_recording
+from ltsim.recordings.tables.rows import read_pointing_table
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
-TITLE = "CompositeReport"
-SAME_POINT = 2e-3
-COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
-UNITS = {"target": None, "azimuth": ANGLES, "elevation": ANGLES, "distance": LENGTHS}
+REPORT_TITLE = "CompositeReport"
+MAX_SAME_POINT_DISTANCE = 2e-3
+READING_COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
+PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that a block must have, with their permitted units."""
-READ_COLUMNS = (*UNITS, "datetime", "offset1", "offset2")
-_HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
+RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
+_HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 
 @dataclass
@@ -49,15 +49,15 @@ class _Block:
     count: int | None = None
     position: Floats | None = None
     rotation: Floats | None = None
-    rows: list[Row] = field(default_factory=list)
+    rows: list[SheetRow] = field(default_factory=list)
 
-    def cell(self, row: Row, title: str) -> str:
+    def cell(self, row: SheetRow, title: str) -> str:
         """Cell of a row by the title of its column; empty without such a column."""
         titles = self.rows[0].fields
         return row.cell(titles.index(title)) if title in titles else ""
 
     @property
-    def pose(self) -> Pose | None:
+    def pose(self) -> StationPoseArrays | None:
         """Rotation about the fixed axes x, y, z in this order, and position; None without a pose."""
         if self.position is None or self.rotation is None:
             return None
@@ -68,7 +68,7 @@ class _Block:
 
 def recognises(path: Path, head: str) -> bool:
     """True if the file begins with the title of the report or the heading of its observations."""
-    return TITLE in head or _HEADING.search(head) is not None
+    return REPORT_TITLE in head or _HEADING_PATTERN.search(head) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -76,37 +76,41 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
     """
-    blocks = [block for block in _blocks(path) if block.rows]
+    blocks = [block for block in _read_blocks(path) if block.rows]
     if not blocks:
         raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
     used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
-    remarks, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
+    remarks, off = [NO_NOISE_NOTE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
     if off:
         remarks.append(f"{off} observations are switched off in the report and not used")
-    hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
-    table = table_of(
-        [_sheet(*block_parts, path) for block_parts in zip(blocks, names, used, strict=True) if block_parts[2]],
+    hints = replace(hints, columns=READING_COLUMNS, date=hints.date or "dmy")
+    table = read_pointing_table(
+        [
+            _sheet_of_block(*block_parts, path)
+            for block_parts in zip(blocks, names, used, strict=True)
+            if block_parts[2]
+        ],
         hints,
         path,
     )
     groups = {row.line: b.cell(row, "Group") for b, rows in zip(blocks, used, strict=True) for row in rows}
     group = [groups[line] for line in table.pointings.line]
     for i, name in enumerate(group):
-        table.pointings.place(i).text(name, "Group")
+        table.pointings.source_location(i).text(name, "Group")
     poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
     order = dict.fromkeys(table.pointings.station)
     placed = {i: pose for i, name in enumerate(order) if (pose := poses[name]) is not None}
-    meaning, readings = readings_of(table, placed, hints, path)
-    table.notes += _distinguish_points(table, group, readings, poses)
-    recording = assembled(table, meaning, readings, _setup(blocks, names, path), hints, path)
+    meaning, readings = interpret_readings(table, placed, hints, path)
+    table.notes += _prefix_ambiguous_points(table, group, readings, poses)
+    recording = assemble_recording(table, meaning, readings, _setup(blocks, names, path), hints, path)
     return recording.replace(labels={**recording.labels, "group": tuple(group)}, notes=(*recording.notes, *remarks))
 
 
-def _cells(path: Path) -> Iterator[Row]:
+def _read_cells(path: Path) -> Iterator[SheetRow]:
     """Every row that is not empty, with the line where it ends."""
     lines = read_lines(path)
-    heading = next((line for line in lines if _HEADING.match(line)), None)
+    heading = next((line for line in lines if _HEADING_PATTERN.match(line)), None)
     if heading is None:
         raise RecordError("contains no heading 'Collection, Group, Target, ...': it is incomplete", file=path)
     separator = heading.replace('"', "")[len("Collection")]
@@ -114,20 +118,20 @@ def _cells(path: Path) -> Iterator[Row]:
     try:
         for fields in reader:
             if any(f.strip() for f in fields):
-                yield Row(reader.line_num, tuple(f.strip() for f in fields))
+                yield SheetRow(reader.line_num, tuple(f.strip() for f in fields))
     except csv.Error as problem:
         raise SourceLocation(path, reader.line_num).error(f"is not a table here ({problem})") from None
 
 
-def _blocks(path: Path) -> list[_Block]:
+def _read_blocks(path: Path) -> list[_Block]:
     """Set-ups of a report in order; a pose repeated on a further page is ignored."""
     blocks: dict[tuple[str, str], _Block] = {}
     current: _Block | None = None
     what = ""
-    for row in _cells(path):
+    for row in _read_cells(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
-            what, heading = first, _heading(row.fields[0], where)
+            what, heading = first, _parse_heading(row.fields[0], where)
             current = blocks.setdefault(heading[:2], _Block(*heading))
         elif current is not None and what == "Transform":
             _read_pose(current, row.fields, where)
@@ -140,12 +144,12 @@ def _blocks(path: Path) -> list[_Block]:
     for block in blocks.values():
         if block.rows and block.count not in (None, len(block.rows) - 1):
             held = f"{block.count} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {shown(block.number)} announces {held}: the report is incomplete or edited"
+            message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
 
-def _heading(cell: str, where: SourceLocation) -> tuple[str, str, str]:
+def _parse_heading(cell: str, where: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
     parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
     if parts is None:
@@ -158,13 +162,13 @@ def _read_pose(block: _Block, fields: Sequence[str], where: SourceLocation) -> N
         block.count = int(where.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([where.number(text, comma=True) for text in fields[1:4]])
-        unit = NAMED.get(fields[0].strip("()").lower(), "")
-        if unit in LENGTHS:
-            block.position = values * FACTOR[unit]
-        elif unit in ANGLES:
-            block.rotation = values * FACTOR[unit]
+        unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
+        if unit in LENGTH_UNITS:
+            block.position = values * SI_PER_UNIT[unit]
+        elif unit in ANGLE_UNITS:
+            block.rotation = values * SI_PER_UNIT[unit]
         else:
-            raise where.error(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known")
+            raise where.error(f"unit '{quoted_text(fields[0].strip('()'))}' of a pose is not known")
 
 
 def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
@@ -172,26 +176,26 @@ def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
 
     Raises RecordError for a required column that is missing, repeated, or in an unknown unit.
     """
-    named = [words_of(field) for field in fields]
-    for wanted, allowed in UNITS.items():
+    named = [title_words_and_unit(field) for field in fields]
+    for wanted, allowed in PERMITTED_UNITS.items():
         units = [unit for word, unit in named if word == wanted]
         if len(units) != 1:
             message = f"the heading has {len(units)} columns called {wanted.capitalize()}, expected one"
             raise where.error(message)
         if allowed is not None and units[0] not in allowed:
-            message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(allowed)}"
+            message = f"unit '{quoted_text(units[0])}' in this heading, expected one of {', '.join(allowed)}"
             raise where.error(message, wanted.capitalize())
 
 
-def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
+def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) -> TableSheet:
     """Columns of a set-up's table that a recording retains; offsets have their unit in their name."""
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
-        word, unit = words_of(title)
-        if word in READ_COLUMNS:
+        word, unit = title_words_and_unit(title)
+        if word in RETAINED_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
-    body = [Row(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
-    return Sheet(file, (Row(block.rows[0].line, tuple(titles.values())), *body), name)
+    body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
+    return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
@@ -202,8 +206,8 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
     return [f"{block.collection}::{block.number}" for block in blocks]
 
 
-def _distinguish_points(
-    table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
+def _prefix_ambiguous_points(
+    table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, StationPoseArrays | None]
 ) -> list[str]:
     """Prefixing (in place) of point names that occur at several places with their group; returns notes."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
@@ -228,7 +232,7 @@ def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> d
     clusters: list[tuple[Floats, list[str]]] = []
     for group, members in groups.items():
         centre = np.median([place for _, place in members], axis=0)
-        near = next((c for c in clusters if np.linalg.norm(c[0] - centre) < SAME_POINT), None)
+        near = next((c for c in clusters if np.linalg.norm(c[0] - centre) < MAX_SAME_POINT_DISTANCE), None)
         if near is None:
             clusters.append((centre, [group]))
         else:

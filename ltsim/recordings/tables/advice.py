@@ -5,60 +5,62 @@ from decimal import Decimal
 from functools import lru_cache
 from itertools import accumulate, pairwise, takewhile
 
-from ltsim.recordings.conventions import CIRCLE, Angle
-from ltsim.recordings.files import shown
+from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import MARKS, PLACE
-from ltsim.recordings.tables.sheets import Row, Sheet
-from ltsim.recordings.transcription_errors import FULL_RADIANS, SHORTEST_MM
+from ltsim.recordings.tables.header import ANGLE_MARKS, COORDINATE_ROLES
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet
+from ltsim.recordings.transcription_errors import FULL_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
-SAMPLE = 400
-MAX_TRIED = 20
+MAX_SAMPLE_ROWS = 400
+MAX_TRIED_ASSIGNMENTS = 20
 """Largest number of assignments of columns that are tried on the whole sheet, most likely first."""
-SAMPLE_CELLS = 100_000
+MAX_SAMPLE_CELLS = 100_000
 """Number of cells, from the first rows of a table, that the suggestions are based on."""
-LONG_M = SHORTEST_MM
+MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
 """Number below which a distance or coordinate without unit is suggested in metres; in millimetres above."""
-Columns = Sequence[tuple[str, ...]]
-ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
+ColumnAssignment = Sequence[tuple[str, ...]]
+COLUMNS_QUESTION = (
+    '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
+)
 
 
-def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
+def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool]) -> str:
     """Sentence for a header without recognised titles.
 
     `serves` returns True for ``--columns`` that can read the sheet.
     """
-    sample = sample_of(sheet)
-    head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
-    body = [row.fields for row in sample if row.values > 1]
+    sample = sample_rows(sheet)
+    head = next((row for row in sample if len(row.fields) > 2 and not row.n_values), None)
+    body = [row.fields for row in sample if row.n_values > 1]
     if not body:
         return "contains no row with two or more numbers, so no pointing"
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
     titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
-    header = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
-    advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
-    advice = next(filter(serves, advised[:MAX_TRIED]), None)
+    header = f"the header {quoted_text(', '.join(titles), 80)}" if named else "a table without a header"
+    advised = _likely_assignments(titles, [row for row in body if len(row) == width][:MAX_SAMPLE_ROWS])
+    advice = next(filter(serves, advised[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
         return f'{header} does not define its columns; define them, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
-    return f"{header} does not define its columns, and {reason}; if they can, define them: {ASK}"
+    return f"{header} does not define its columns, and {reason}; if they can, define them: {COLUMNS_QUESTION}"
 
 
-def sample_of(sheet: Sheet) -> list[Row]:
-    """First rows of a sheet, with `SAMPLE_CELLS` cells in total."""
+def sample_rows(sheet: TableSheet) -> list[SheetRow]:
+    """First rows of a sheet, with `MAX_SAMPLE_CELLS` cells in total."""
     cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
     pairs = zip(sheet.rows, cells_before, strict=False)
-    return [row for row, _ in takewhile(lambda pair: pair[1] < SAMPLE_CELLS, pairs)]
+    return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
 
 
-def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def _likely_assignments(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
     """Assignments of columns that the values permit, most likely first: names, a face, then readings or coordinates."""
     columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
     times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
     rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
     texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
-    faces = [i for i in rest if i not in texts and len({*columns[i]}) == 2 and all(map(cells.face, columns[i]))]
+    faces = [i for i in rest if i not in texts and len({*columns[i]}) == 2 and all(map(cells.parse_face, columns[i]))]
     numbers = [i for i in rest if i not in (*texts, *faces) and all(map(cells.is_value, columns[i]))]
     if not texts:  # points that have numbers for names come first
         texts = [i for i in numbers[:2] if all(cell.isdigit() for cell in columns[i])][: max(len(numbers) - 3, 0)]
@@ -68,95 +70,109 @@ def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
         f"{role}={titles[i]}" for role, i in zip(("station", "target")[-len(names) :], names, strict=False)
     ]
     names_and_faces += [f"face={titles[i]}" for i in faces[:1]]
-    angles = _angles(numbers, columns)
+    angles = _angle_columns(numbers, columns)
     polar = [
-        [f"azimuth={_joined(first, titles)}[{unit}]", f"{kind}={_joined(other, titles)}[{unit}]", *length]
+        [f"azimuth={_joined_titles(first, titles)}[{unit}]", f"{kind}={_joined_titles(other, titles)}[{unit}]", *length]
         for first, other in pairwise(angles)
         if len(first) == len(other)
-        for unit, kind in _meanings(first, other, columns)
-        for length in _length("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
+        for unit, kind in _possible_conventions(first, other, columns)
+        for length in _distance_columns("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
     ]
     polar += [
-        [f"horizontal={_joined(first, titles)}[deg]", *length]
+        [f"horizontal={_joined_titles(first, titles)}[deg]", *length]
         for first in angles[:1]
         if _is_sexagesimal(first, columns)
-        for length in _length("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
+        for length in _distance_columns("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
     ]
-    places = [i for i in numbers if _fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
-    places = places[:3] if len(places) >= len(PLACE) else numbers[:3]
-    unit = "m" if max((_largest(columns[i]) for i in places), default=0) < LONG_M else "mm"
-    as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(PLACE, places, strict=False)]
-    whole = [*polar, *([as_places] if len(as_places) == len(PLACE) else [])]
+    places = [i for i in numbers if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
+    places = places[:3] if len(places) >= len(COORDINATE_ROLES) else numbers[:3]
+    unit = "m" if max((_largest_magnitude(columns[i]) for i in places), default=0) < MAX_LENGTH_IN_METRES else "mm"
+    as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, places, strict=False)]
+    whole = [*polar, *([as_places] if len(as_places) == len(COORDINATE_ROLES) else [])]
     return [",".join([*names_and_faces, *readings]) for readings in whole]
 
 
-def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
+def _angle_columns(numbers: Sequence[int], columns: ColumnAssignment) -> list[tuple[int, ...]]:
     """Columns that may hold an angle, each alone or with the minutes and seconds in the next columns."""
     angles: list[tuple[int, ...]] = []
     taken: set[int] = set()
     for i in numbers:
         parts = [i]
-        while len(parts) < len(MARKS) and parts[-1] + 1 in numbers and _is_part(columns[parts[-1] + 1]):
-            if _fraction(columns[parts[-1]]):
+        while (
+            len(parts) < len(ANGLE_MARKS)
+            and parts[-1] + 1 in numbers
+            and _is_minutes_or_seconds(columns[parts[-1] + 1])
+        ):
+            if _has_fraction(columns[parts[-1]]):
                 break
             parts.append(parts[-1] + 1)
-        alone = _fraction(columns[i]) or any(map(cells.is_marked, columns[i]))
-        if i not in taken and _largest(columns[i]) <= CIRCLE["gon"] and (alone or len(parts) > 1):
+        alone = _has_fraction(columns[i]) or any(map(cells.is_sexagesimal, columns[i]))
+        if (
+            i not in taken
+            and _largest_magnitude(columns[i]) <= FULL_CIRCLE_BY_UNIT["gon"]
+            and (alone or len(parts) > 1)
+        ):
             angles.append(tuple(parts))
             taken.update(parts)
     return angles
 
 
-def _is_part(column: tuple[str, ...]) -> bool:
+def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
     """True if all values are possible minutes or seconds, 0 to 60."""
-    return all(0 <= number < 60 for number in _numbers(column))
+    return all(0 <= number < 60 for number in _column_numbers(column))
 
 
-def _meanings(first: Sequence[int], other: Sequence[int], columns: Columns) -> list[tuple[str, str]]:
+def _possible_conventions(
+    first: Sequence[int], other: Sequence[int], columns: ColumnAssignment
+) -> list[tuple[str, str]]:
     """Unit and kind of the vertical angle that the numbers permit, most likely first."""
-    vertical = _numbers(columns[other[0]])
-    largest = max(_largest(columns[first[0]]), _largest(columns[other[0]]))
+    vertical = _column_numbers(columns[other[0]])
+    largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[other[0]]))
     if _is_sexagesimal(first, columns):
-        units: tuple[Angle, ...] = ("deg",)
-    elif largest < FULL_RADIANS:
+        units: tuple[AngleUnit, ...] = ("deg",)
+    elif largest < FULL_CIRCLE_RADIANS:
         units = ("rad",)
     else:
-        units = ("deg", "gon") if largest <= CIRCLE["deg"] else ("gon",)
+        units = ("deg", "gon") if largest <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
     lowest = min(vertical, default=Decimal(0))
     kind = "elevation" if lowest < 0 else "vertical"
-    return [(unit, kind) for unit in units if lowest >= -CIRCLE[unit] / 4]
+    return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
-def _length(
-    role: str, after: Sequence[int], titles: Sequence[str], columns: Columns, angle: Sequence[int]
+def _distance_columns(
+    role: str, after: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
 ) -> list[list[str]]:
     """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
 
     Distances are in metres where angles are in degrees, minutes and seconds.
     """
-    candidates = [i for i in after if _fraction(columns[i]) and min(_numbers(columns[i]), default=Decimal(0)) > 0]
-    metres = _is_sexagesimal(angle, columns) or (candidates and _largest(columns[candidates[0]]) < LONG_M)
+    candidates = [
+        i for i in after if _has_fraction(columns[i]) and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
+    ]
+    metres = _is_sexagesimal(angle, columns) or (
+        candidates and _largest_magnitude(columns[candidates[0]]) < MAX_LENGTH_IN_METRES
+    )
     return [[f"{role}={titles[i]}[{'m' if metres else 'mm'}]"] for i in candidates[:1]]
 
 
-def _is_sexagesimal(angle: Sequence[int], columns: Columns) -> bool:
-    return len(angle) > 1 or any(map(cells.is_marked, columns[angle[0]]))
+def _is_sexagesimal(angle: Sequence[int], columns: ColumnAssignment) -> bool:
+    return len(angle) > 1 or any(map(cells.is_sexagesimal, columns[angle[0]]))
 
 
-def _joined(places: Sequence[int], titles: Sequence[str]) -> str:
+def _joined_titles(places: Sequence[int], titles: Sequence[str]) -> str:
     return "+".join(titles[i] for i in places)
 
 
 @lru_cache(maxsize=1024)
-def _numbers(column: tuple[str, ...]) -> list[Decimal]:
-    return [number for cell in column if (number := cells.value(cell)) is not None]
+def _column_numbers(column: tuple[str, ...]) -> list[Decimal]:
+    return [number for cell in column if (number := cells.parse_value(cell)) is not None]
 
 
-def _largest(column: tuple[str, ...]) -> Decimal:
-    return max(map(abs, _numbers(column)), default=Decimal(0))
+def _largest_magnitude(column: tuple[str, ...]) -> Decimal:
+    return max(map(abs, _column_numbers(column)), default=Decimal(0))
 
 
 @lru_cache(maxsize=1024)
-def _fraction(column: tuple[str, ...]) -> bool:
+def _has_fraction(column: tuple[str, ...]) -> bool:
     """True if one of the numbers is not an integer."""
-    return any(number != int(number) for number in _numbers(column))
+    return any(number != int(number) for number in _column_numbers(column))

@@ -11,35 +11,39 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER, is_number
+from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER_PATTERN, is_number
 
-FACES = {
+FACE_WORDS = {
     **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
     **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
 }
-T = TypeVar("T")
-DAY = timedelta(days=1)
+ValueType = TypeVar("ValueType")
+DAY_LENGTH = timedelta(days=1)
 MAX_VALUE_LENGTH = 60
 """Largest number of characters of a cell that is tested as a number or an angle."""
-_DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
-_SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
-_GAP, _PART = r":|-|\s", r"\d{1,2}(?:[.,]\d+)?"
-_SEXAGESIMAL = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES}|{_GAP})\s*(\d{{1,2}})\s*(?:{_MINUTES}|{_GAP})\s*({_PART})\s*(?:{_SECONDS})?"
+_DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
+_MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
+_SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
+_GAP_PATTERN = r":|-|\s"
+_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
+_SEXAGESIMAL_PATTERN = re.compile(
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_GAP_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_GAP_PATTERN})\s*({_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
 )
-_TO_MINUTES = re.compile(rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES})\s*({_PART})\s*(?:{_MINUTES})()")
+_TO_MINUTES_PATTERN = re.compile(
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
+)
 """Pattern of degrees with minutes and seconds, separated by marks, colons, hyphens or blanks; with minutes alone, by
 marks.
 """
-_PACKED = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
-_DIGITS = re.compile(r"[0-9.+eE-]*")
+_PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
+_DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
 """Characters of decimal numbers."""
-_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
-_ORDERS = ("ymd", "dmy", "mdy")
-_DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
+_CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_DATE_ORDERS = ("ymd", "dmy", "mdy")
+_DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
-def plain(text: str) -> str:
+def python_number(text: str) -> str:
     """Number in Python's notation: comma or point as decimal sign, without blanks and degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
@@ -49,17 +53,19 @@ def plain(text: str) -> str:
     return text.replace(grouping, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
-_GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
-_BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")}
+_GROUPED_PATTERN = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+_COMMA_AND_POINT_PATTERN = {
+    mark: re.compile(_GROUPED_PATTERN[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")
+}
 
 
-def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
+def thousands_separator(rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of a sheet: ``7.000,5`` in one cell shows that ``7.000`` in another is 7000; '' for none.
 
     Raises RecordError where one cell groups by points and another by commas.
     """
     mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
-    shown = {mark: cell for cell in mixed for mark, form in _BOTH.items() if form.fullmatch(cell)}
+    shown = {mark: cell for cell in mixed for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)}
     if len(shown) > 1:
         raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: use one", file=file)
     return next(iter(shown), "")
@@ -68,16 +74,16 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
-        is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None
+        is_number(text) or is_number(python_number(text)) or _parse_sexagesimal(text) is not None
     )
 
 
-def is_marked(text: str) -> bool:
+def is_sexagesimal(text: str) -> bool:
     """True if a cell is an angle in degrees, minutes and seconds, and no plain number."""
-    return not is_number(plain(text)) and _sexagesimal(text) is not None
+    return not is_number(python_number(text)) and _parse_sexagesimal(text) is not None
 
 
-def number(text: str, grouping: str = "") -> Decimal | None:
+def parse_number(text: str, grouping: str = "") -> Decimal | None:
     """Plain number of a cell with all its digits; None if it is no number.
 
     `grouping` is the thousands separator of the sheet.
@@ -85,16 +91,18 @@ def number(text: str, grouping: str = "") -> Decimal | None:
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
-    bare = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
+    bare = python_number(
+        text.replace(grouping, "") if grouping and _GROUPED_PATTERN[grouping].fullmatch(text) else text
+    )
     return Decimal(bare) if is_number(bare) else None
 
 
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
     whole = "".join(texts)
-    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGITS.fullmatch(whole):
+    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(whole):
         return None
-    if "e" in whole.lower() and not all(map(NUMBER.fullmatch, filter(None, texts))):
+    if "e" in whole.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
         return None
     try:
         return np.array([float(text or "nan") for text in texts], dtype=np.float64)
@@ -102,36 +110,36 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def value(text: str, grouping: str = "") -> Decimal | None:
+def parse_value(text: str, grouping: str = "") -> Decimal | None:
     """Number of a cell with all its digits (degrees for an angle with minutes and seconds); None if it is no number.
 
-    `grouping` is the thousands separator of the sheet, from `grouping_of`.
+    `grouping` is the thousands separator of the sheet, from `thousands_separator`.
     """
-    plain_number = number(text, grouping)
-    return _sexagesimal(text) if plain_number is None else plain_number
+    plain_number = parse_number(text, grouping)
+    return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
-def quantity(text: str, grouping: str = "") -> Decimal | None:
+def parse_quantity(text: str, grouping: str = "") -> Decimal | None:
     """Number of a cell that could also be a date or time: None for a date or time."""
-    return None if not is_number(text) and is_moment(text) else value(text, grouping)
+    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, grouping)
 
 
-def packed(text: str) -> Decimal | None:
+def parse_packed_degrees(text: str) -> Decimal | None:
     """Degrees of a cell that packs minutes and seconds into decimals (``33.120747``); None for another cell."""
-    parts = _PACKED.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
+    parts = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if parts is None:
-        return _sexagesimal(text)
+        return _parse_sexagesimal(text)
     sign, degrees, rest = parts.groups(default="")
     digits = rest.ljust(4, "0")
     return _degrees(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
 
 
-def _sexagesimal(text: str) -> Decimal | None:
+def _parse_sexagesimal(text: str) -> Decimal | None:
     """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
     if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
-    parts = _SEXAGESIMAL.fullmatch(text) or _TO_MINUTES.fullmatch(text)
+    parts = _SEXAGESIMAL_PATTERN.fullmatch(text) or _TO_MINUTES_PATTERN.fullmatch(text)
     return None if parts is None else _degrees(*(part.replace(",", ".") for part in parts.groups()))
 
 
@@ -144,29 +152,31 @@ def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | N
     return -size if sign == "-" else size
 
 
-def face(text: str) -> int | None:
+def parse_face(text: str) -> int | None:
     """Face 1 or 2; None if the cell does not name a face."""
-    return FACES.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
+    return FACE_WORDS.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
 
 
-def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
+def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
     """Seconds since the earliest of times, dates or dates with times, and that moment in ISO format.
 
     `order` is ``dmy`` or ``mdy`` for dates with slashes. None for an unknown form, and for an ambiguous order of day
     and month (the text is "?" then).
     """
-    texts = [_bare(text) for text in texts]
-    clocks = _all(_clock, texts)
+    texts = [_without_apostrophe(text) for text in texts]
+    clocks = _convert_all(_parse_clock, texts)
     if clocks is not None:
-        return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)
-    read = (_all(partial(_stamp, letters=letters, order=order), texts) for letters in _ORDERS)
-    readings = [_since(stamps, dated=True) for stamps in read if stamps is not None]
+        return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], dated=False)
+    read = (
+        _convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in _DATE_ORDERS
+    )
+    readings = [_seconds_since_first(stamps, dated=True) for stamps in read if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
     return readings[0] if readings else (None, "")
 
 
-def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | None:
+def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
     """Conversion of all texts; None if one cannot be converted."""
     values = []
     for text in texts:
@@ -177,43 +187,46 @@ def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | 
     return values
 
 
-def is_moment(text: str) -> bool:
+def is_date_or_time(text: str) -> bool:
     """True if a cell is a time of day, a date or both."""
-    return has_clock(text) or any(_stamp(_bare(text), letters, None) is not None for letters in _ORDERS)
+    return has_clock(text) or any(
+        _parse_date_and_time(_without_apostrophe(text), letters, None) is not None for letters in _DATE_ORDERS
+    )
 
 
 def has_clock(text: str) -> bool:
     """True if a cell is a time of day, with or without a date."""
-    bare = _bare(text)
+    bare = _without_apostrophe(text)
     return ":" in bare and (
-        _clock(bare) is not None or any(_stamp(bare, letters, None) is not None for letters in _ORDERS)
+        _parse_clock(bare) is not None
+        or any(_parse_date_and_time(bare, letters, None) is not None for letters in _DATE_ORDERS)
     )
 
 
-def _bare(text: str) -> str:
+def _without_apostrophe(text: str) -> str:
     """Date or time without the apostrophe that marks it as text in a spreadsheet."""
     return text.strip().removeprefix("'").strip()
 
 
-def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
+def _seconds_since_first(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
     first = min(stamps)
     moment = first.isoformat() if dated else first.time().isoformat()
     return [(stamp - first).total_seconds() for stamp in stamps], moment
 
 
-def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
+def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     """Times without a date as increasing time differences: a decrease by more than half a day is midnight."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
-        if last - clock > DAY / 2:
-            days += DAY
+        if last - clock > DAY_LENGTH / 2:
+            days += DAY_LENGTH
         last = clock
         unwrapped.append(clock + days)
     return unwrapped
 
 
-def _clock(text: str) -> timedelta | None:
-    match = _CLOCK.fullmatch(text.strip())
+def _parse_clock(text: str) -> timedelta | None:
+    match = _CLOCK_PATTERN.fullmatch(text.strip())
     if match is None:
         return None
     hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
@@ -227,11 +240,11 @@ def _clock(text: str) -> timedelta | None:
     )
 
 
-def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
+def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime | None:
     """Date with or without time of day; the time zone of an ISO stamp is ignored (all stamps have the same zone)."""
     day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
-    match, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)
+    match, clock = _DATE_PATTERN.fullmatch(day), _parse_clock(rest) if rest else timedelta(0)
     if match is None or clock is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
     excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)

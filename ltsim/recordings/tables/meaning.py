@@ -15,37 +15,48 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
+from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
 from ltsim.recordings.conventions import (
-    SENSE_UNKNOWN,
-    Azimuth,
+    SENSE_UNKNOWN_NOTE,
+    AzimuthSense,
     Hints,
-    PolarTable,
-    Pose,
-    Vertical,
-    angle_meaning,
+    PolarReadings,
+    StationPoseArrays,
+    VerticalKind,
+    angle_convention,
+    azimuth_sense_from_points,
+    azimuth_sense_from_poses,
     length_meaning,
-    sense_by_poses,
-    sense_from_points,
 )
-from ltsim.recordings.files import shown
-from ltsim.recordings.pointings import indices
+from ltsim.recordings.files import quoted_text
+from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exact_function
-from ltsim.recordings.transcription_errors import SHORTEST_MM
+from ltsim.recordings.tables.header import (
+    COMMON_SIGMA_ROLE,
+    COORDINATE_ROLES,
+    DISTANCE_ROLES,
+    HEIGHT_ROLES,
+    HORIZONTAL_ROLES,
+    SIGMA_ROLES,
+    VERTICAL_ROLES,
+    TableColumn,
+)
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, apply_exactly, to_floats
+from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
 
-FULL_CIRCLE, QUARTER = 360, 90
-"""Full and quarter circle [deg]."""
-TALL_M = (0.2, 3.0)
+FULL_CIRCLE_DEG = 360
+"""Full circle [deg]."""
+QUARTER_CIRCLE_DEG = 90
+"""Quarter circle [deg]."""
+HEIGHT_RANGE_M = (0.2, 3.0)
 """Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""
-AMBIGUOUS_MM = 1000.0
+MAX_AMBIGUOUS_MM = 1000.0
 """Longest distance [mm] up to which a distance without unit could be in metres."""
-COMMON_FRAME_M = 2e-3
+MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
 """Difference [m] of common targets up to which two set-ups count as already in one frame."""
-FROM_PLACES = (
+COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "applies to single readings, in both faces"
 )
@@ -58,8 +69,8 @@ class ColumnInterpretation:
     horizontal_unit: str
     vertical_unit: str
     length_unit: str
-    vertical: Vertical
-    azimuth: Azimuth
+    vertical: VerticalKind
+    azimuth: AzimuthSense
     notes: tuple[str, ...] = ()
 
     def readings(self, printed: PrintedPointings) -> Floats:
@@ -67,16 +78,16 @@ class ColumnInterpretation:
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(turn: Any, degree: Any) -> Any:
-            return -turn % (FULL_CIRCLE * degree) if clockwise else turn
+            return -turn % (FULL_CIRCLE_DEG * degree) if clockwise else turn
 
         def elevation(rise: Any, degree: Any) -> Any:
-            up = QUARTER * degree - rise if zenith else rise
-            return np.where(up < -QUARTER * degree, up + FULL_CIRCLE * degree, up)
+            up = QUARTER_CIRCLE_DEG * degree - rise if zenith else rise
+            return np.where(up < -QUARTER_CIRCLE_DEG * degree, up + FULL_CIRCLE_DEG * degree, up)
 
         polar = [
-            exact_function(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
-            exact_function(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
-            exact_function(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
+            apply_exactly(printed.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
+            apply_exactly(printed.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth),
+            apply_exactly(printed.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
@@ -87,8 +98,8 @@ class ColumnInterpretation:
         )
 
 
-def readings_of(
-    table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path
+def interpret_readings(
+    table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
     """Interpretation of the numbers of a table, and its raw readings (n, 3) [m, rad].
 
@@ -96,28 +107,36 @@ def readings_of(
 
     Raises RecordError, with the option to type, if neither header nor data decide.
     """
-    if table.holds_places:
-        return _readings_of_places(table, hints, file)
-    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
+    if table.has_coordinates:
+        return _readings_from_coordinates(table, hints, file)
+    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_of = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     printed = table.pointings
-    _, station = indices(printed.station, "station", file)
-    _, target = indices(printed.target, "target", file)
-    polar = PolarTable(station, target, *(as_floats(printed.of(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE)))
-    units, vertical, notes = _angles(columns, unit_of, polar, hints, file)
-    length, more = _length(unit_of["distance"], polar, table, hints, file)
+    _, station = index_names(printed.station, "station", file)
+    _, target = index_names(printed.target, "target", file)
+    polar = PolarReadings(
+        station,
+        target,
+        *(to_floats(printed.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
+    )
+    units, vertical, notes = _angle_conventions(columns, unit_of, polar, hints, file)
+    length, more = _length_convention(unit_of["distance"], polar, table, hints, file)
     meaning = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
-    azimuth, why = _sense(table, meaning, polar, poses, hints, file)
+    azimuth, why = _azimuth_sense(table, meaning, polar, poses, hints, file)
     meaning = replace(meaning, azimuth=azimuth, notes=(*notes, *more, *why))
     return meaning, meaning.readings(printed)
 
 
-def _angles(
-    columns: Mapping[str, TableColumn | None], unit_of: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
-) -> tuple[tuple[str, str], Vertical, list[str]]:
+def _angle_conventions(
+    columns: Mapping[str, TableColumn | None],
+    unit_of: Mapping[str, str],
+    polar: PolarReadings,
+    hints: Hints,
+    file: Path,
+) -> tuple[tuple[str, str], VerticalKind, list[str]]:
     column = columns["vertical"]
     role = column.role if column is not None else ""
-    declared: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
+    declared: VerticalKind | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
     if column is None:
         declared = "elevation"
     turn_unit, rise_unit = unit_of["horizontal"], unit_of["vertical"]
@@ -125,61 +144,64 @@ def _angles(
     # The data are asked in one unit: angles in different ones are brought to degrees first.
     asked, common_unit = polar, None
     if unit:
-        turns = [float(ratio(u or unit, "deg")) for u in (turn_unit, rise_unit)]
+        turns = [float(unit_ratio(u or unit, "deg")) for u in (turn_unit, rise_unit)]
         asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
         common_unit = "deg"
     if common_unit and (declared or hints.vertical):
         return (turn_unit or unit, rise_unit or unit), hints.vertical or declared or "elevation", []
     answer = replace(hints, angle=common_unit or hints.angle, vertical=hints.vertical or declared)  # type: ignore[arg-type]
-    angle, vertical, notes = angle_meaning(asked, answer, file)
+    angle, vertical, notes = angle_convention(asked, answer, file)
     if common_unit and column is not None:
         notes = [f"'{column.title}' is interpreted as {vertical} angles ({note.rpartition('(')[2]}" for note in notes]
     return (turn_unit or unit or angle, rise_unit or unit or angle), vertical, notes
 
 
-def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
+def _length_convention(
+    declared: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
+) -> tuple[str, list[str]]:
     """Unit of the distances, with notes: declared, or from heights in the table, their size, or a hint."""
     if declared or not np.isfinite(polar.distance).any():
         return declared or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
-    if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
+    if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_MM:
         return length_meaning(polar.distance, hints)
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
-    column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
-    texts = table.pointings.further.get(column.title, []) if column is not None else []
-    tall = [abs(float(height)) for height in map(cells.value, texts) if height]
-    if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
+    column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
+    texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
+    tall = [abs(float(height)) for height in map(cells.parse_value, texts) if height]
+    if column is not None and tall and HEIGHT_RANGE_M[0] < float(np.median(tall)) < HEIGHT_RANGE_M[1]:
         return "m", [
-            f"distances are interpreted as m ('{shown(column.title)}' in the same table contains heights in metres)"
+            f"distances are interpreted as m ('{quoted_text(column.title)}' in the same table contains "
+            "heights in metres)"
         ]
     message = f"distances of up to {longest:.6g} may be metres or millimetres; give --hint length=m or"
     raise RecordError(f"{message} --hint length=mm", file=file)
 
 
-def _sense(
+def _azimuth_sense(
     table: PointingTable,
     meaning: ColumnInterpretation,
-    polar: PolarTable,
-    poses: Mapping[int, Pose],
+    polar: PolarReadings,
+    poses: Mapping[int, StationPoseArrays],
     hints: Hints,
     file: Path,
-) -> tuple[Azimuth, list[str]]:
+) -> tuple[AzimuthSense, list[str]]:
     """Sense of the circle, with notes: from a hint, known positions, or the titles of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
         local = from_polar(meaning.readings(table.pointings))
         if hints.points is not None:
-            return sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
-        azimuth = sense_by_poses(local, polar, poses)
+            return azimuth_sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
+        azimuth = azimuth_sense_from_poses(local, polar, poses)
         if azimuth is not None:
             return azimuth, [
                 f"azimuths are interpreted as {azimuth}: with this, the points agree from all approximate stations"
             ]
-    column = table.column(HORIZONTAL)
+    column = table.column(HORIZONTAL_ROLES)
     if table.positional or column is None:
-        raise RecordError(SENSE_UNKNOWN, file=file)
+        raise RecordError(SENSE_UNKNOWN_NOTE, file=file)
     if column.role == "horizontal":
         circle = f"'{column.title}' is interpreted as a horizontal circle, clockwise"
         return "clockwise", [
@@ -190,31 +212,37 @@ def _sense(
             "azimuths with elevations are interpreted as counter-clockwise (otherwise give --hint azimuth=clockwise)"
         )
         return "counter-clockwise", [spherical]
-    raise RecordError(SENSE_UNKNOWN, file=file)
+    raise RecordError(SENSE_UNKNOWN_NOTE, file=file)
 
 
-def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
+def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
     """Coordinates converted to readings on face 1.
 
     Raises RecordError if a coordinate is missing, or if all set-ups are in one frame.
     """
-    printed = np.stack([as_floats(table.pointings.of((axis,))) for axis in PLACE], axis=1)
+    printed = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
     rows, axes = np.nonzero(np.isnan(printed))
     if len(rows):
-        raise table.pointings.place(int(rows[0])).error(f"the coordinate {PLACE[axes[0]]} is missing")
-    length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
+        raise table.pointings.source_location(int(rows[0])).error(
+            f"the coordinate {COORDINATE_ROLES[axes[0]]} is missing"
+        )
+    length = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length:
         length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
-    readings = to_polar(printed * FACTOR[length])
+    readings = to_polar(printed * SI_PER_UNIT[length])
     near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near):
-        raise table.pointings.place(int(near[0])).error("coincides with the instrument, expected another point")
-    _check_frames(table, printed * FACTOR[length], file)
-    return ColumnInterpretation("rad", "rad", length, "elevation", "counter-clockwise", (*notes, FROM_PLACES)), readings
+        raise table.pointings.source_location(int(near[0])).error(
+            "coincides with the instrument, expected another point"
+        )
+    _require_separate_frames(table, printed * SI_PER_UNIT[length], file)
+    return ColumnInterpretation(
+        "rad", "rad", length, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
+    ), readings
 
 
-def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
+def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -> None:
     """Check that coordinates were not transformed into one frame, in which they contain no information on a network.
 
     Raises RecordError.
@@ -225,7 +253,7 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
         station, place = first.setdefault(target, (here, point))
         if station != here:
             gaps.append(float(np.linalg.norm(point - place)))
-    if len(gaps) > 2 and float(np.median(gaps)) < COMMON_FRAME_M:
+    if len(gaps) > 2 and float(np.median(gaps)) < MAX_COMMON_FRAME_DIFFERENCE_M:
         message = (
             f"{len(gaps)} targets have the same coordinates from several set-ups: they are already in one frame; "
             "export them in the axes of each instrument"
@@ -233,15 +261,17 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
         raise RecordError(message, file=file)
 
 
-def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
+def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
     """Standard deviations (n,) of the readings (n, 3), by column, from those of x, y, z if the table has them."""
-    columns = [table.column((SIGMA_OF[axis],)) or table.column((SIGMA,)) for axis in PLACE]
-    titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
-    if not table.holds_places or len(titles) < len(PLACE):
+    columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
+    titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
+    if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
     printed = table.pointings
-    columns_of_numbers = [map(cells.value, printed.texts(title), printed.grouping) for title, _ in titles]
-    printed.further = {title: column for title, column in printed.further.items() if title not in dict(titles)}
+    columns_of_numbers = [map(cells.parse_value, printed.texts(title), printed.grouping) for title, _ in titles]
+    printed.additional_cells = {
+        title: column for title, column in printed.additional_cells.items() if title not in dict(titles)
+    }
     sizes = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
     variance = (np.stack(sizes, axis=1) * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.recordings.files import SourceLocation
-from ltsim.recordings.tables.header import PLACE, READINGS, TableColumn
+from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 Digits = NDArray[np.bytes_]
 """Numbers (n,) as decimal digits in ASCII; empty for a missing number."""
-T = TypeVar("T")
-MAX_EXACT = 2**51
+ValueType = TypeVar("ValueType")
+MAX_EXACT_PRODUCT = 2**51
 """Magnitude up to which a product of floating-point numbers is rounded to the correct integer."""
 MAX_ANGLE_SUM = 720.0
 """Largest magnitude [deg] of sums of angles."""
@@ -31,12 +31,12 @@ ROWS_PER_BATCH = 8192
 """Number of rows that are converted together, which bounds the memory of intermediate results."""
 
 
-def as_digits(texts: Sequence[str]) -> Digits:
+def to_digits(texts: Sequence[str]) -> Digits:
     """Numbers (n,) kept as their decimal text, so that no digit is lost."""
     return np.array(texts, dtype=np.bytes_)
 
 
-def as_floats(digits: Digits) -> Floats:
+def to_floats(digits: Digits) -> Floats:
     """Nearest floating-point numbers (n,); NaN for missing ones."""
     values = np.full(len(digits), np.nan)
     filled = digits != b""
@@ -44,14 +44,14 @@ def as_floats(digits: Digits) -> Floats:
     return values
 
 
-def as_decimals(digits: Digits) -> Iterator[Decimal | None]:
+def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
     """Exact numbers; None for missing ones."""
     for start in range(0, len(digits), ROWS_PER_BATCH):
         for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
 
 
-def exact_function(
+def apply_exactly(
     digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
     """Nearest floating-point numbers (n,) to a function of products with a factor; NaN for missing ones.
@@ -65,24 +65,24 @@ def exact_function(
     multiplier = int(factor.scaleb(-int(exponent))) * 10 ** max(int(exponent), 0)
     places = max(int(decimal_places(digits[filled]).max(initial=0)), 0)
     unit = 10 ** (places + max(-int(exponent), 0))
-    values[filled] = function(_integers(digits[filled], places, multiplier, unit), unit) / unit
+    values[filled] = function(_scaled_integers(digits[filled], places, multiplier, unit), unit) / unit
     return values
 
 
-def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
+def _scaled_integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
     """Numbers (n,) without decimal point, times a multiplier: int64 if floats are exact, otherwise Python integers."""
-    values = as_floats(digits)
-    if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT:
+    values = to_floats(digits)
+    if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
         return np.rint(values * 10**places).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
-        whole = [int(number.scaleb(places)) * multiplier for number in as_decimals(digits) if number is not None]
+        whole = [int(number.scaleb(places)) * multiplier for number in to_decimals(digits) if number is not None]
     return np.array([*whole, None])[:-1]  # of Python's integers, which an array of them alone would cut
 
 
 def decimal_places(digits: Digits) -> Ints:
     """Number of decimals (n,); negative if the last digit is before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
-        return np.array([-int(number.as_tuple().exponent) for number in as_decimals(digits) if number is not None])
+        return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
     return np.where(point < 0, 0, np.char.str_len(digits) - point - 1)
 
@@ -103,17 +103,17 @@ class PrintedPointings:
     grouping: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing, '' for none."""
     numbers: dict[str, Digits] = field(default_factory=dict)
-    further: dict[str, list[str]] = field(default_factory=dict)
+    additional_cells: dict[str, list[str]] = field(default_factory=dict)
     """Cells of additional columns by title; '' for a row without one."""
 
     def __len__(self) -> int:
         return len(self.line)
 
-    def place(self, index: int) -> SourceLocation:
+    def source_location(self, index: int) -> SourceLocation:
         """File and row of a pointing."""
         return SourceLocation(self.file[index], self.line[index])
 
-    def of(self, roles: Sequence[str]) -> Digits:
+    def digits_of_roles(self, roles: Sequence[str]) -> Digits:
         """Digits of each row in the first of the roles that it has."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
@@ -123,10 +123,10 @@ class PrintedPointings:
 
     def texts(self, title: str) -> list[str]:
         """Cells of an additional column; '' in a table without this title."""
-        return self.further.get(title) or [""] * len(self)
+        return self.additional_cells.get(title) or [""] * len(self)
 
     @property
-    def lists(self) -> tuple[list[Any], ...]:
+    def complete_columns(self) -> tuple[list[Any], ...]:
         """Columns that every row has, in the order of the fields."""
         names = (self.station, self.target)
         return (self.file, self.line, *names, self.face, self.moment, self.round, self.grouping)
@@ -140,34 +140,36 @@ class PrintedPointings:
     def take(self, order: Iterable[int]) -> PrintedPointings:
         """Pointings at some positions, in that order."""
         places = list(order)
-        lists: list[Any] = [[column[i] for i in places] for column in self.lists]
+        lists: list[Any] = [[column[i] for i in places] for column in self.complete_columns]
         numbers = {role: digits[places] for role, digits in self.numbers.items()}
-        further = {title: [column[i] for i in places] for title, column in self.further.items()}
+        further = {title: [column[i] for i in places] for title, column in self.additional_cells.items()}
         return PrintedPointings(*[*lists, numbers, further])
 
 
-def joined(parts: Sequence[PrintedPointings]) -> PrintedPointings:
+def join_pointings(parts: Sequence[PrintedPointings]) -> PrintedPointings:
     """Pointings of several parts in sequence; a column that a part lacks is empty there."""
     if len(parts) == 1:
         return parts[0]
-    lists: list[Any] = [_chained(columns) for columns in zip(*(part.lists for part in parts), strict=True)]
+    lists: list[Any] = [
+        _concatenate(columns) for columns in zip(*(part.complete_columns for part in parts), strict=True)
+    ]
     roles = dict.fromkeys(role for part in parts for role in part.numbers)
-    titles = dict.fromkeys(title for part in parts for title in part.further)
+    titles = dict.fromkeys(title for part in parts for title in part.additional_cells)
     numbers = {
         role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in parts])
         for role in roles
     }
-    further = {title: _chained(part.texts(title) for part in parts) for title in titles}
+    further = {title: _concatenate(part.texts(title) for part in parts) for title in titles}
     return PrintedPointings(*[*lists, numbers, further])
 
 
-def _chained(columns: Iterable[list[T]]) -> list[T]:
+def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
     return list(chain.from_iterable(columns))
 
 
-def indices_by_value(values: Iterable[T]) -> tuple[list[T], Ints]:
+def indices_by_value(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
     """Distinct values in order of appearance, and the index of each value among them."""
-    places: dict[T, int] = {}
+    places: dict[ValueType, int] = {}
     indices = [places.setdefault(value, len(places)) for value in values]
     return list(places), np.array(indices, dtype=np.int64)
 
@@ -184,7 +186,7 @@ class PointingTable:
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)
-    marked: set[str] = field(default_factory=set)
+    sexagesimal_titles: set[str] = field(default_factory=set)
     """Titles without a unit whose cells have marks of degrees and minutes."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
@@ -192,22 +194,22 @@ class PointingTable:
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
-    def holds_places(self) -> bool:
+    def has_coordinates(self) -> bool:
         """True for a table with coordinates in place of readings."""
-        return {*PLACE} <= {c.role for c in self.columns}
+        return {*COORDINATE_ROLES} <= {c.role for c in self.columns}
 
     @property
     def mark(self) -> list[str]:
         """Name of the mark under the set-up of each pointing."""
         return [self.marks.get(station, station) for station in self.pointings.station]
 
-    def take(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
+    def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
         """Addition of another header: with equal roles and units, and possibly additional columns, which are retained.
 
         Raises RecordError if its readings or units differ.
         """
         before, here = (
-            [(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)
+            [(c.role, c.unit, c.face) for c in all_ if c.role in READING_ROLES] for all_ in (self.columns, columns)
         )
         if before and before != here:
             message = "its columns differ from those of the headers before, expected the same roles and units"
@@ -215,11 +217,11 @@ class PointingTable:
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
-    def add(self, other: PointingTable, file: object) -> None:
+    def add_sheet(self, other: PointingTable, file: object) -> None:
         """Addition of the columns and notes of another sheet; raises RecordError."""
-        self.take(other.columns, file)
+        self.add_header(other.columns, file)
         self.unread += other.unread
         self.notes += [note for note in other.notes if note not in self.notes]
         self.nameless |= other.nameless
-        self.marked |= other.marked
+        self.sexagesimal_titles |= other.sexagesimal_titles
         self.positional |= other.positional

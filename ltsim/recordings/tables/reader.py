@@ -6,53 +6,55 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, ratio
+from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import to_face
-from ltsim.recordings.air import NO_AIR
-from ltsim.recordings.conventions import NO_HINTS, Hints, poses_of
-from ltsim.recordings.curvature import on_round_earth
-from ltsim.recordings.files import MAX_TEXT, shown
-from ltsim.recordings.pointings import NAN, PointingColumns, recording_of_columns, states_noise
+from ltsim.recordings.air import NO_AIR_UNCERTAINTY
+from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
+from ltsim.recordings.curvature import with_earth_curvature
+from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
+from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
+from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import DISTANCE, ROLE_UNITS, TableColumn, has_named_coordinates
-from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
+from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.meaning import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
-from ltsim.recordings.tables.rows import header_of, table_of
+from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
-    common_names,
+    common_target_names,
     connecting_occupations,
     heights_not_applied,
-    named_by_place,
-    over_marks,
+    name_targets_by_position,
     split_occupations,
+    with_setups_over_marks,
 )
-from ltsim.recordings.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
+from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, WORKBOOK_SUFFIXES, head_rows, is_table_folder, read_sheets
 
 
-def with_clock(table: PointingTable) -> PointingTable:
+def with_time_column(table: PointingTable) -> PointingTable:
     """Table with a time column: if no title means time, the first additional column of times is used."""
     if table.column(("time",)) is not None:
         return table
     printed = table.pointings
     for column in table.columns:
-        texts = printed.further.get(column.title, [])
+        texts = printed.additional_cells.get(column.title, [])
         filled = [text for text in texts if text]
-        if not column.is_further or column.role or not filled or not all(map(cells.has_clock, filled)):
+        if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
             continue
         title = column.title
         printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
-        printed.further = {name: cells_of for name, cells_of in printed.further.items() if name != title}
+        printed.additional_cells = {
+            name: cells_of for name, cells_of in printed.additional_cells.items() if name != title
+        }
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
-        table.notes.append(f"'{shown(title)}' is interpreted as the time of each pointing (its cells are clocks)")
+        table.notes.append(f"'{quoted_text(title)}' is interpreted as the time of each pointing (its cells are clocks)")
         break
     return table
 
 
-def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
+def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
     """Time [s] of each pointing, the moment of time 0 if known, and notes; NaN for unreadable times."""
     column = table.column(("time",)) or table.column(("date",))
     texts = table.pointings.moment
@@ -61,46 +63,48 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
         return nothing, "", []
     by_rows = "the order of the rows replaces the time"
     if not all(texts):
-        return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
+        return nothing, "", [f"column '{quoted_text(column.title)}' is empty in places: {by_rows}"]
     values = cells.plain_numbers(texts)
     if values is not None:
-        return (values * FACTOR[column.unit or "s"]).tolist(), "", []
-    numbers = [cells.number(text) for text in texts]
+        return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
+    numbers = [cells.parse_number(text) for text in texts]
     if all(number is not None for number in numbers):
-        factor = FACTOR[column.unit or "s"]
+        factor = SI_PER_UNIT[column.unit or "s"]
         return [float(number) * factor for number in numbers if number is not None], "", []
-    seconds, start = cells.moments(texts, hints.date)
+    seconds, start = cells.parse_times(texts, hints.date)
     if seconds is None and start:
-        message = f"'{shown(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
-        raise table.pointings.place(0).error(message, shown(column.title))
+        message = (
+            f"'{quoted_text(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
+        )
+        raise table.pointings.source_location(0).error(message, quoted_text(column.title))
     if seconds is None:
-        unknown = f"column '{shown(column.title)}' contains no readable time ('{shown(texts[0])}')"
+        unknown = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
     if not any(":" in text for text in texts):
-        return nothing, "", [f"column '{shown(column.title)}' contains dates without a time: {by_rows}"]
+        return nothing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {by_rows}"]
     return seconds, start, []
 
 
-SETUP = "setup.toml"
-MAX_SHOWN = 3
-HEADS_SIGMA_MM = 1.0
+SETUP_FILE = "setup.toml"
+MAX_LISTED_ROWS = 3
+HEAD_HEIGHT_SIGMA_MM = 1.0
 """Standard deviation [mm] of the height of a head on one tripod or pillar each time it is set up."""
 
 
 def recognises(path: Path, head: str) -> bool:
     """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
-        return is_folder(path)
-    if head.startswith(WORKBOOK.decode("latin-1")):
+        return is_table_folder(path)
+    if head.startswith(WORKBOOK_SUFFIXES.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
-    rows = rows_of_head(head if head.endswith("\n") else "\n".join(head.splitlines()[:-1]))  # the last may be cut
-    headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
+    rows = head_rows(head if head.endswith("\n") else "\n".join(head.splitlines()[:-1]))  # the last may be cut
+    headers = [columns for row in rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    measured = sum(row.values > 1 and len(row.fields) > 2 for row in rows)
-    return bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows))
+    measured = sum(row.n_values > 1 and len(row.fields) > 2 for row in rows)
+    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * measured > len(rows))
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
@@ -108,55 +112,57 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
     Raises RecordError.
     """
-    table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
-    table.pointings.target, renamed = common_names(table.pointings)
+    table = name_targets_by_position(
+        with_time_column(read_pointing_table(read_sheets(path), hints, path, positional=positional)), path
+    )
+    table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
-    setup = _setup(path, hints)
-    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
-    meaning, readings = readings_of(table, poses, hints, path)
+    setup = _read_setup(path, hints)
+    poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
+    meaning, readings = interpret_readings(table, poses, hints, path)
     if setup is not None:
-        recording = assembled(table, meaning, readings, setup, hints, path)
+        recording = assemble_recording(table, meaning, readings, setup, hints, path)
         return recording.replace(
-            notes=(f"noise and set-ups are read from {_setup_file(path, hints)}", *recording.notes)
+            notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
-    instrument, noise = instrument_of(is_total_station(table, meaning, readings))
-    air = NO_AIR if instrument is TOTAL_STATION else None
-    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument, air=air)
-    recording = assembled(table, meaning, readings, setup, hints, path)
-    return recording if states_noise(recording) else recording.replace(notes=(noise, *recording.notes))
+    instrument, noise = default_instrument(total_station_reason(table, meaning, readings))
+    air = NO_AIR_UNCERTAINTY if instrument is TOTAL_STATION else None
+    setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
+    recording = assemble_recording(table, meaning, readings, setup, hints, path)
+    return recording if declares_noise(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
-def assembled(
+def assemble_recording(
     table: PointingTable, meaning: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """Recording of a table whose readings (n, 3) were interpreted, in the order of its pointings."""
-    printed, nothing = table.pointings, np.full(len(table.pointings), NAN)
-    sigmas = sigmas_of_places(table, readings, meaning.length_unit)
-    covariates, labels, further = _further(table, meaning)
+    printed, nothing = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
+    sigmas = sigmas_from_coordinates(table, readings, meaning.length_unit)
+    covariates, labels, further = _additional_columns(table, meaning)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
     same_place, rounds = split_occupations(table, readings, turns)
-    upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
-    setup, over = over_marks(table, setup, readings, rounds=same_place, levelled=upright)
-    faces, reduced = _faces(table, readings)
-    times, started, timed = times_of(table, hints)
+    upright = bool(total_station_reason(table, meaning, readings)) and table.column(("elevation",)) is None
+    setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
+    faces, reduced = _pointing_faces(table, readings)
+    times, started, timed = pointing_times(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
     height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
-        sigma_mm = setup.heads_sigma_mm or HEADS_SIGMA_MM
+        sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(connecting_occupations(table), labels)
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
-    remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread(table)]
+    remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread_lines_note(table)]
     targets, target = indices_by_value(printed.target)
     _, first = np.unique(target, return_index=True)
     for name, row in zip(targets, first.tolist(), strict=True):
-        printed.place(row).name(name, "target")
+        printed.source_location(row).name(name, "target")
     columns = PointingColumns(
         printed.station,
         printed.target,
@@ -167,7 +173,7 @@ def assembled(
         labels,
         printed.source,
     )
-    return on_round_earth(
+    return with_earth_curvature(
         recording_of_columns(columns, setup, notes=[n for notes in remarks for n in notes], file=file)
     )
 
@@ -181,19 +187,19 @@ def _merged_labels(below: dict[str, list[str]], above: dict[str, list[str]]) -> 
     return {**above, **both}
 
 
-def _setup_file(path: Path, hints: Hints) -> Path:
+def _setup_path(path: Path, hints: Hints) -> Path:
     """File with noise and gauge: the named one, or a `setup.toml` in the same folder."""
-    file = hints.setup or (path if path.is_dir() else path.parent) / SETUP
-    return file / SETUP if file.is_dir() else file
+    file = hints.setup or (path if path.is_dir() else path.parent) / SETUP_FILE
+    return file / SETUP_FILE if file.is_dir() else file
 
 
-def _setup(path: Path, hints: Hints) -> Setup | None:
+def _read_setup(path: Path, hints: Hints) -> Setup | None:
     """Noise and set-ups from a file in addition to the table; None if there is none."""
-    file = _setup_file(path, hints)
+    file = _setup_path(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
-def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
+def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face of each pointing, with notes; face-2 readings that were reduced to face 1 are converted back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond.tolist(), strict=True)]
@@ -205,30 +211,32 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
     return faces, ["readings of face 2 were reduced to face 1 and are converted back to circle readings"]
 
 
-def _further(
+def _additional_columns(
     table: PointingTable, meaning: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Additional columns of each pointing: numbers as covariates, texts as labels, and notes.
 
     Sigmas and heights have standard names; without a unit in their title they are in the unit of the readings.
     """
-    columns = [c for c in table.columns if c.is_further]
+    columns = [c for c in table.columns if c.is_additional]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
     values = [c for c in columns if c.title not in words]
-    converted = {c.title: _covariate(c, table.pointings, meaning) for c in values}
+    converted = {c.title: _covariate_values(c, table.pointings, meaning) for c in values}
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
     named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in named else c.title for c in columns}
     covariates = {names[title]: column for title, column in numeric.items()}
-    labels = {names[title]: column for title, column in table.pointings.further.items() if title not in numeric}
+    labels = {
+        names[title]: column for title, column in table.pointings.additional_cells.items() if title not in numeric
+    }
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
-        f"'{shown(c.title)}' is interpreted as {c.role}"
-        + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
+        f"'{quoted_text(c.title)}' is interpreted as {c.role}"
+        + ("" if c.unit else f", in {_column_unit(c, meaning)} as its reading")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
-    others = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in with_units)
+    others = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
     return (
         covariates,
         labels,
@@ -236,84 +244,84 @@ def _further(
     )
 
 
-def _unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
+def _column_unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
     return column.unit or meaning.unit_of(column.role)
 
 
-def _covariate(column: TableColumn, printed: PrintedPointings, meaning: ColumnInterpretation) -> Floats | None:
+def _covariate_values(column: TableColumn, printed: PrintedPointings, meaning: ColumnInterpretation) -> Floats | None:
     """Numbers of a column in the unit of its role, NaN for an empty cell; None for a text column."""
-    texts = printed.further.get(column.title, [])
+    texts = printed.additional_cells.get(column.title, [])
     if not any(texts):
         return None
     values = cells.plain_numbers(texts) if not any(printed.grouping) else None
     if values is not None:
-        return values * _factor(column, meaning)
-    numbers = np.full(len(texts), NAN)
+        return values * _unit_factor(column, meaning)
+    numbers = np.full(len(texts), NOT_MEASURED)
     for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
         if text:
-            number = cells.quantity(text, grouping)
+            number = cells.parse_quantity(text, grouping)
             if number is None:
                 return None
             numbers[i] = number
-    return numbers * _factor(column, meaning)
+    return numbers * _unit_factor(column, meaning)
 
 
-def _factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
+def _unit_factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
     """Factor from the unit of a column of standard deviations or heights to the unit of its role."""
     wanted = column.role.rpartition("_")[2]
     if wanted not in ("mm", "arcsec"):
         return 1.0
-    unit = _unit(column, meaning)
-    return float(ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
+    unit = _column_unit(column, meaning)
+    return float(unit_ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
 
 
-def _unread(table: PointingTable) -> list[str]:
+def _unread_lines_note(table: PointingTable) -> list[str]:
     notes = []
     if table.nameless:
         alone = "the table names no station, so that one station S1 is assumed for its pointings"
         notes.append(f"{alone} (--hint station=NAME)")
     if table.unread:
-        examples = "; ".join(table.unread[:MAX_SHOWN])
-        more = len(table.unread) - MAX_SHOWN
+        examples = "; ".join(table.unread[:MAX_LISTED_ROWS])
+        more = len(table.unread) - MAX_LISTED_ROWS
         notes.append(f"free text is not used: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 
 
-TRACKER_RANGE_M = 160.0
+MAX_TRACKER_RANGE_M = 160.0
 """Longest range [m] of laser trackers (manufacturers' data sheets: 80 to 160)."""
-COARSE_M = 0.5e-4
+MIN_COARSE_DIGIT_M = 0.5e-4
 """Last digit [m] of ranges from which they are too coarse for a laser tracker: trackers report micrometres."""
 
 MIN_RANGES = 6
 """Smallest number of ranges whose last digit is used: fewer may all end in zeros by chance."""
 
 
-def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
+def total_station_reason(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
     """Reason why the table is from a total station; empty if it may be from a laser tracker.
 
     Heights above marks are no sufficient reason: trackers are set up over marks too.
     """
-    if table.holds_places:
+    if table.has_coordinates:
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
     if table.column(("flat",)) is not None:
         return "it contains horizontal distances"
     if not len(ranges):
         return ""
-    if ranges.max() > TRACKER_RANGE_M:
+    if ranges.max() > MAX_TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
-    columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE]
+    columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE_ROLES]
     places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(places) < MIN_RANGES:
         return ""
-    digit = 10.0 ** -int(places.max()) * FACTOR[meaning.length_unit]
-    if digit > COARSE_M:
+    digit = 10.0 ** -int(places.max()) * SI_PER_UNIT[meaning.length_unit]
+    if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
-    if table.column(("instrument_height_mm",)) is not None and digit > COARSE_M / 10:
+    if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""
 
 
-def instrument_of(reason: str) -> tuple[Instrument, str]:
+def default_instrument(reason: str) -> tuple[Instrument, str]:
     """Instrument for a table without noise, and the note about it."""
-    return (TOTAL_STATION, LIKE_TOTAL_STATION.format(reason=reason)) if reason else (Instrument(), NO_NOISE)
+    return (TOTAL_STATION, TOTAL_STATION_NOTE.format(reason=reason)) if reason else (Instrument(), NO_NOISE_NOTE)

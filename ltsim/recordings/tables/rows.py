@@ -13,32 +13,39 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import HEADERS
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import MAX_TEXT, SourceLocation, is_number, shown
+from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.advice import unnamed
+from ltsim.recordings.tables.advice import unrecognised_header_sentence
 from ltsim.recordings.tables.header import (
-    DISTANCE,
-    HORIZONTAL,
-    READINGS,
-    VERTICAL,
+    DISTANCE_ROLES,
+    HORIZONTAL_ROLES,
+    READING_ROLES,
+    VERTICAL_ROLES,
     TableColumn,
-    assignments,
-    columns_of,
-    count_of_roles,
+    count_role_titles,
+    header_columns,
     is_header,
-    mapped,
-    role_of,
-    words_of,
+    mapped_columns,
+    parse_assignments,
+    title_role,
+    title_words_and_unit,
 )
-from ltsim.recordings.tables.printed import ROWS_PER_BATCH, Digits, PointingTable, PrintedPointings, as_digits, joined
-from ltsim.recordings.tables.sheets import Row, Sheet
+from ltsim.recordings.tables.printed import (
+    ROWS_PER_BATCH,
+    Digits,
+    PointingTable,
+    PrintedPointings,
+    join_pointings,
+    to_digits,
+)
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
-MAX_READING = 10**9
+MAX_READING_MAGNITUDE = 10**9
 """Magnitude below which all readings must be, in any unit."""
 
 
 @dataclass
-class Run:
+class HeaderRun:
     """Rows below one header, by column: line numbers, cells, and the station of the block for rows that name none."""
 
     line: list[int] = field(default_factory=list)
@@ -48,59 +55,59 @@ class Run:
     def __len__(self) -> int:
         return len(self.line)
 
-    def add(self, row: Row, station: str) -> None:
+    def add_row(self, row: SheetRow, station: str) -> None:
         """Addition of a row."""
         self.line.append(row.line)
         self.fields.append(row.fields)
         self.station.append(station)
 
-    def each(self) -> Iterator[Run]:
+    def single_rows(self) -> Iterator[HeaderRun]:
         """Runs with one row each."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
-            yield Run([line], [fields], [station])
+            yield HeaderRun([line], [fields], [station])
 
 
 class RunReader:
     """Reader of the rows below one header of a sheet. `nameless` and `marked` are those of `PointingTable`."""
 
-    def __init__(self, sheet: Sheet, columns: Sequence[TableColumn]) -> None:
+    def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
         self.sheet, self.columns = sheet, columns
         self.faces = (1, 2) if any(c.face for c in columns) else (0,)
         self.nameless = False
         self.marked: set[str] = set()
 
-    def read(self, run: Run) -> PrintedPointings:
+    def read(self, run: HeaderRun) -> PrintedPointings:
         """Pointings of rows, each with the station of its block if its row names none.
 
         Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
         """
         width = len(self.columns)
-        padded = [fields if len(fields) == width else _padded(fields, width) for fields in run.fields]
+        padded = [fields if len(fields) == width else _pad_cells(fields, width) for fields in run.fields]
         table = list(zip(*padded, strict=True))
         if self.faces == (0,):
             return self._of_face(0, run, table)
-        both = joined([self._of_face(face, run, table) for face in self.faces])
-        angles = both.of((*HORIZONTAL, *VERTICAL)) != b""
+        both = join_pointings([self._of_face(face, run, table) for face in self.faces])
+        angles = both.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
         return both.take(by_row[angles[by_row]].tolist())
 
-    def _of_face(self, face: int, run: Run, table: Sequence[Sequence[str]]) -> PrintedPointings:
+    def _of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
         """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
         columns = [c for c in self.columns if c.face in (0, face)]
-        text = {c.role: table[c.place] for c in reversed(columns) if c.role}
+        text = {c.role: table[c.position] for c in reversed(columns) if c.role}
         nothing = ("",) * len(run)
         named = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
         self.nameless |= "" in named
         faces = self._faces(text["face"], run.line) if "face" in text else [0] * len(run)
         numbers: dict[str, Digits] = {}
         for c in columns:
-            if c.role in READINGS:
+            if c.role in READING_ROLES:
                 digits = self._numbers(c.texts(table), c, run.line)
                 filled = digits != b""
                 if filled.any():
                     before = numbers.get(c.role)
                     numbers[c.role] = digits if before is None else np.where(filled, digits, before)
-        further = {c.title: self._texts(table[c.place], run.line) for c in columns if c.is_further}
+        further = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
         return PrintedPointings(
             [self.sheet.file] * len(run),
             run.line,
@@ -109,50 +116,50 @@ class RunReader:
             [face] * len(run) if face else faces,
             _joined_cells(text.get("date"), text.get("time")) or [*nothing],
             _joined_cells(text.get("date"), text.get("round")) or [*nothing],
-            [self.sheet.grouping] * len(run),
+            [self.sheet.thousands_separator] * len(run),
             numbers,
             further,
         )
 
     def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
         """Faces in the file; 0 for an empty cell."""
-        faces = {text: cells.face(text) if text else 0 for text in {*texts}}
+        faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
-                raise self._place(line).error(f"found '{shown(text)}', expected 1 or 2", "face")
+                raise self._place(line).error(f"found '{quoted_text(text)}', expected 1 or 2", "face")
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
         """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
-        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.grouping else None
-        least = 0.0 if column.role in DISTANCE else -np.inf
-        if values is not None and not np.any((np.abs(values) >= MAX_READING) | (values <= least)):
-            return as_digits(texts)
+        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        least = 0.0 if column.role in DISTANCE_ROLES else -np.inf
+        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= least)):
+            return to_digits(texts)
         converted = [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
-        if not column.unit and any(map(cells.is_marked, texts)):
+        if not column.unit and any(map(cells.is_sexagesimal, texts)):
             self.marked.add(column.title)
-        return as_digits(converted)
+        return to_digits(converted)
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
         """Digits of the number in one cell."""
         packed = column.unit == "dms"
-        number = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
+        number = cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
         where = self._place(line)
         if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
-            raise where.error(f"found '{shown(text)}', expected {what}", shown(column.title))
-        if number is None or not abs(number) < MAX_READING:
-            raise where.error(f"found '{shown(text)}', expected a number", shown(column.title))
-        if column.role in DISTANCE and not number > 0:
-            what = f"found {shown(text)}, expected a distance above 0, or an empty cell without one"
-            raise where.error(what, shown(column.title))
+            raise where.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
+        if number is None or not abs(number) < MAX_READING_MAGNITUDE:
+            raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
+        if column.role in DISTANCE_ROLES and not number > 0:
+            what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell without one"
+            raise where.error(what, quoted_text(column.title))
         return str(number)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
         """Cells of an additional column; equal texts are stored once."""
         distinct = dict.fromkeys(texts)
         whole = "".join(distinct)
-        if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT:
+        if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT_LENGTH:
             for text, line in zip(texts, lines, strict=True):
                 self._place(line).text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
@@ -161,7 +168,7 @@ class RunReader:
         return SourceLocation(self.sheet.file, line)
 
 
-def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
+def _pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
     """Cells of a row, extended with empty ones to the width of the header."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
@@ -177,50 +184,52 @@ POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns in a table without header whose lines are names and three numbers."""
 MIN_TITLES = 2
 """Smallest number of columns in a header of readings: two angles, or an angle and a distance."""
-_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
+_STATION_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
-def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> PointingTable:
+def read_pointing_table(
+    sheets: Sequence[TableSheet], hints: Hints, file: object, *, positional: bool = False
+) -> PointingTable:
     """Pointings of all sheets; with `positional`, also lines with names and three numbers but no header.
 
     Raises RecordError for a header without recognised titles, for headers with different roles, and for a wrong cell.
     """
     whole, parts = PointingTable([]), []
     for sheet in sheets:
-        start = header_at(sheet, hints)
+        start = find_header(sheet, hints)
         reader = _SheetReader(sheet, hints)
         if start is not None or positional:
             table = reader.read_positional() if start is None else reader.read(start)
-            whole.add(table, sheet.file)
+            whole.add_sheet(table, sheet.file)
             parts.append(table.pointings)
-        elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
-            raise RecordError(unnamed(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
+        elif len(sheets) == 1 or any(row.n_values > 2 for row in sheet.rows[:50]):
+            raise RecordError(unrecognised_header_sentence(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
         unread = f": {whole.unread[0]} has no number in a column of readings" if whole.unread else ""
         raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
-    whole.pointings = joined(parts)
-    whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
+    whole.pointings = join_pointings(parts)
+    whole.columns = [replace(c, unit="deg") if c.title in whole.sexagesimal_titles else c for c in whole.columns]
     return whole
 
 
-def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] | None:
+def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
     """Columns that a row names as a header; None if it is no header."""
     if hints.columns is not None:
-        return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_of_roles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
+        return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
+    if count_role_titles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
         return None
-    columns = columns_of(row.fields)
+    columns = header_columns(row.fields)
     return columns if is_header(columns) else None
 
 
-def header_at(sheet: Sheet, hints: Hints) -> int | None:
+def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     """Index of the first header row; -1 if `hints.columns` numbers the columns of a table without header."""
     if hints.columns is not None and sheet.rows:
-        asked = assignments(hints.columns, sheet.file)
+        asked = parse_assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
-            first = next((i for i, row in enumerate(sheet.rows) if not row.comment), 0)
-            return first if not sheet.rows[first].values else first - 1
-    return next((i for i, row in enumerate(sheet.rows) if header_of(row, hints, sheet.file) is not None), None)
+            first = next((i for i, row in enumerate(sheet.rows) if not row.is_comment), 0)
+            return first if not sheet.rows[first].n_values else first - 1
+    return next((i for i, row in enumerate(sheet.rows) if parse_header(row, hints, sheet.file) is not None), None)
 
 
 class _SheetReader:
@@ -229,7 +238,7 @@ class _SheetReader:
     Its state is the current header, the station of the last block, and the rows since the header.
     """
 
-    def __init__(self, sheet: Sheet, hints: Hints) -> None:
+    def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.station or hints.station or ""
         self.table = PointingTable([])
@@ -237,64 +246,64 @@ class _SheetReader:
         self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
         self.headers = 0
-        self.run = Run()
+        self.run = HeaderRun()
         """Rows of pointings that are not converted yet."""
 
     def read(self, start: int) -> PointingTable:
         """Pointings of the rows below the header in row `start`; -1 for numbered columns."""
         rows = self.sheet.rows
         for row in rows[: max(start, 0)]:
-            self._other(row)
+            self._process_other_line(row)
         if start < 0:
-            numbered = Row(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
-            self._head(header_of(numbered, self.hints, self.sheet.file) or [], None)
-        return self._read(rows[max(start, 0) :])
+            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
+            self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
+        return self._read_rows(rows[max(start, 0) :])
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
-        first = next((row for row in self.sheet.rows if not row.comment), None)
+        first = next((row for row in self.sheet.rows if not row.is_comment), None)
         roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
-            if not row.comment and len(row.fields) != len(roles):
+            if not row.is_comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
                 raise SourceLocation(self.sheet.file, row.line).error(message)
         self.table.positional = True
-        self._head([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
-        return self._read(self.sheet.rows, every=True)
+        self._start_header([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
+        return self._read_rows(self.sheet.rows, every=True)
 
-    def _head(self, columns: list[TableColumn], row: int | None) -> None:
+    def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
         if self.headers > HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
                 f"holds more than {HEADERS} headers, the limit for reading"
             )
         if columns != self.columns:
-            self._convert()
-        self.table.take(columns, self.sheet.file, row)
+            self._convert_rows()
+        self.table.add_header(columns, self.sheet.file, row)
         self.columns = columns
-        self.wanted = [c.place for c in columns if c.role in READINGS]
+        self.wanted = [c.position for c in columns if c.role in READING_ROLES]
 
-    def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
+    def _read_rows(self, rows: Sequence[SheetRow], *, every: bool = False) -> PointingTable:
         last = len(rows) - 1
         for i, row in enumerate(rows):
-            measured = (every and not row.comment) or self._is_measured(row)
-            again = header_of(row, self.hints, self.sheet.file) if not measured else None
+            measured = (every and not row.is_comment) or self._is_measured(row)
+            again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
-                self._head(again, row.line)
-            elif row.comment or not measured:
-                self._other(row)
-            elif i < last or not self.sheet.open_end:
-                self._pointing(row)
+                self._start_header(again, row.line)
+            elif row.is_comment or not measured:
+                self._process_other_line(row)
+            elif i < last or not self.sheet.has_incomplete_end:
+                self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
-                self._convert()
-                self.sheet.check_whole(len(self.columns), strict=self.table.positional)
-                self._pointing(row)
-        self._convert()
+                self._convert_rows()
+                self.sheet.require_complete_end(len(self.columns), strict=self.table.positional)
+                self._add_pointing(row)
+        self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
-        self.table.pointings = joined(self.parts) if self.parts else PrintedPointings()
+        self.table.pointings = join_pointings(self.parts) if self.parts else PrintedPointings()
         return self.table
 
-    def _is_measured(self, row: Row) -> bool:
+    def _is_measured(self, row: SheetRow) -> bool:
         """True if a cell of a reading has a value; in a pointing it is usually the first."""
         fields = row.fields
         for place in self.wanted:
@@ -302,65 +311,66 @@ class _SheetReader:
                 return True
         return False
 
-    def _other(self, row: Row) -> None:
+    def _process_other_line(self, row: SheetRow) -> None:
         """Processing of a line that is no pointing: it names the station of a block, or is ignored."""
         line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
-        block = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
-        if block is not None and role_of(block.group(1)) == "station":
+        block = _STATION_PATTERN.fullmatch(line) if len(line) <= MAX_TEXT_LENGTH else None
+        if block is not None and title_role(block.group(1)) == "station":
             self.station = block.group(2)
-        elif not row.comment:
+        elif not row.is_comment:
             self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
-    def _pointing(self, row: Row) -> None:
+    def _add_pointing(self, row: SheetRow) -> None:
         if len(self.run.line) == ROWS_PER_BATCH:
-            self._convert()
+            self._convert_rows()
         width = len(self.columns)
         if len(row.fields) > width and any(row.fields[width:]):
-            self._convert()
+            self._convert_rows()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
             raise SourceLocation(self.sheet.file, row.line).error(message)
-        self.run.add(row, self.station)
+        self.run.add_row(row, self.station)
 
-    def _convert(self) -> None:
+    def _convert_rows(self) -> None:
         """Conversion of the rows since the last header to columns at once.
 
         If that fails, row by row to report the first error.
         """
-        run, self.run = self.run, Run()
+        run, self.run = self.run, HeaderRun()
         if not run.line:
             return
         reader = RunReader(self.sheet, self.columns)
         try:
             converted = [reader.read(run)]
         except RecordError:
-            converted = [reader.read(row) for row in run.each()]
+            converted = [reader.read(row) for row in run.single_rows()]
         self.table.nameless |= reader.nameless
-        self.table.marked |= reader.marked
-        self.parts.append(joined(converted))
+        self.table.sexagesimal_titles |= reader.marked
+        self.parts.append(join_pointings(converted))
         while (
             len(self.parts) > 1
             and 2 * len(self.parts[-1]) > len(self.parts[-2])
             and len(self.parts[-2]) < ROWS_PER_BATCH
         ):
-            self.parts[-2:] = [joined(self.parts[-2:])]
+            self.parts[-2:] = [join_pointings(self.parts[-2:])]
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     """Warnings about columns whose role is already taken by another column."""
     taken = {c.role: c.title for c in columns if c.role}
-    lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
+    lost = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
-        f"column '{shown(title)}' is a further column, because the {role} is read from '{shown(taken[role])}'"
+        f"column '{quoted_text(title)}' is a further column, because the {role} is read from "
+        f"'{quoted_text(taken[role])}'"
         for title, role in lost
         if role in taken
     ]
 
 
-def _is_readable(sheet: Sheet, hints: Hints, columns: str) -> bool:
+def _is_readable(sheet: TableSheet, hints: Hints, columns: str) -> bool:
     """True if a sheet can be read with an assignment of columns."""
     hints = replace(hints, columns=columns)
     try:
-        start = header_at(sheet, hints)
+        start = find_header(sheet, hints)
         return start is not None and len(_SheetReader(sheet, hints).read(start).pointings) > 0
     except RecordError:
         return False

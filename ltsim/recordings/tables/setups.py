@@ -16,42 +16,44 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
-from ltsim.core.units import EARTH
-from ltsim.recordings.files import MAX_NAME, shown
-from ltsim.recordings.pointings import numbered
+from ltsim.core.units import EARTH_RADIUS
+from ltsim.recordings.files import MAX_NAME_LENGTH, quoted_text
+from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import HEIGHTS, HORIZONTAL, PLACE, VERTICAL
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, indices_by_value
+from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
 
-SAME_PLACE_RATIO = 3e-4
+MAX_SAME_PLACE_RATIO = 3e-4
 """Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
 repeatability of a robot.
 """
-SAME_ANGLE, SAME_RADIAN = 0.02, SAME_PLACE_RATIO
-"""Tolerances [deg or gon, rad] between directions to the same position."""
-RADIANS = 7.0
-MIN_ROWS = 3
+MAX_SAME_ANGLE = 0.02
+"""Tolerance [deg or gon] between directions to the same position."""
+MAX_SAME_ANGLE_RAD = MAX_SAME_PLACE_RATIO
+"""Tolerance [rad] between directions to the same position."""
+RADIAN_UNITS = 7.0
+MIN_ROWS_FOR_POSITIONS = 3
 
 
-def named_by_place(table: PointingTable, file: object) -> PointingTable:
+def name_targets_by_position(table: PointingTable, file: object) -> PointingTable:
     """Table in which every position is a separate target, if rows have no names or one name has several positions.
 
     Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
-    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS):
+    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS_FOR_POSITIONS):
         return table
-    places = _places(table)
+    places = _position_numbers(table)
     count = int(places.max()) + 1
-    if names != {""} and (count < MIN_ROWS or len(stations) > 1):
+    if names != {""} and (count < MIN_ROWS_FOR_POSITIONS or len(stations) > 1):
         return table
     if len(stations) > 1:
         message = "names no points, so common targets of its set-ups are unknown; add a column target"
         raise RecordError(message, file=file)
     table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
-    called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"
+    called = "names no points" if names == {""} else f"has one name ('{quoted_text(names.pop())}') for all of its rows"
     table.notes.append(
         f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
         "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
@@ -59,13 +61,15 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
     return table
 
 
-def _places(table: PointingTable) -> Ints:
+def _position_numbers(table: PointingTable) -> Ints:
     """Number (n,) of the position of each row, in the order of their first rows."""
     numbers = table.pointings.numbers
-    printed = np.stack([as_floats(digits) for digits in numbers.values()], axis=1)
+    printed = np.stack([to_floats(digits) for digits in numbers.values()], axis=1)
     largest = np.nanmax(np.abs(printed), axis=0).tolist()
-    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in PLACE), default=0.0)
-    tolerance = np.array([_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)])
+    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in COORDINATE_ROLES), default=0.0)
+    tolerance = np.array(
+        [_position_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)]
+    )
     scaled = np.nan_to_num(printed / tolerance)
     steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
     first: list[tuple[float, ...]] = []
@@ -81,14 +85,14 @@ def _places(table: PointingTable) -> Ints:
     return np.array(numbers_of_places)
 
 
-def _tolerance(role: str, largest: float, lengths: float) -> float:
-    if role in (*HORIZONTAL, *VERTICAL):
-        return SAME_ANGLE if largest > RADIANS else SAME_RADIAN
-    return SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
+def _position_tolerance(role: str, largest: float, lengths: float) -> float:
+    if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
+        return MAX_SAME_ANGLE if largest > RADIAN_UNITS else MAX_SAME_ANGLE_RAD
+    return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
-MAX_SHOWN = 4
-MIN_LINES = 4
+MAX_LISTED_NAMES = 4
+MIN_CLOSED_LINES = 4
 MAX_CLOSURE_RATIO = 0.5
 """Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
 are not applied.
@@ -101,10 +105,10 @@ MAX_CLOSURE_M = 0.02
 """Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
 decimetres.
 """
-Key = tuple[str, ...]
+OccupationKey = tuple[str, ...]
 
 
-def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
+def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     """Target name of each pointing, common to all set-ups, and notes on the changes.
 
     The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
@@ -114,7 +118,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
     bare = [_without_station_name(station, target) for station, target in sightings]
-    if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
+    if all(bare) and len({*stations}) > 1 and not _shared_names(stations, targets) and _shared_names(stations, bare):
         notes.append(f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{bare[0]}'")
         targets = bare
     places: dict[str, set[str]] = {}
@@ -122,7 +126,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
         places.setdefault(target, set()).add(station)
     spellings_of: dict[str, list[str]] = {}
     for target in places:
-        spellings_of.setdefault(_folded(target), []).append(target)
+        spellings_of.setdefault(_normalised_name(target), []).append(target)
     common = {
         name: spellings[0]
         for spellings in spellings_of.values()
@@ -131,7 +135,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
         for name in spellings[1:]
     }
     if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_SHOWN)
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_LISTED_NAMES)
         notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
@@ -139,17 +143,17 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
 
 def _without_station_name(station: str, target: str) -> str:
     """Name of a target without the name of its set-up; empty if it does not contain it."""
-    if len(target) > MAX_NAME:  # which is refused later
+    if len(target) > MAX_NAME_LENGTH:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
     return (match[1] or match[2]) if match else ""
 
 
-def _shared(stations: Sequence[str], targets: Sequence[str]) -> bool:
+def _shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
-def _folded(name: str) -> str:
+def _normalised_name(name: str) -> str:
     bare = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
 
@@ -163,13 +167,13 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
     printed = table.pointings
-    occupations: Sequence[Key]
-    occupations, of_occupation = indices_by_value(zip(printed.station, _occupations(table), strict=True))
+    occupations: Sequence[OccupationKey]
+    occupations, of_occupation = indices_by_value(zip(printed.station, _occupation_numbers(table), strict=True))
     distinct, code = occupations, of_occupation
     turned = False
     if table.column(("round",)) is not None:
         by_round, of_round = indices_by_value(zip(of_occupation.tolist(), printed.round, strict=True))
-        turned = _is_turned(table, of_occupation, of_round, readings[:, 1], sigma)
+        turned = _has_rotated_circle(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
     marks = {station for station, *_ in distinct}
@@ -178,7 +182,7 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     before: Counter[str] = Counter()
     names: list[str] = []
     for station, *_ in distinct:
-        names.append(numbered(station, before[station]))
+        names.append(numbered_name(station, before[station]))
         before[station] += 1
     table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
     printed.station = [names[i] for i in code.tolist()]
@@ -195,7 +199,7 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
 
 
-def _occupations(table: PointingTable) -> list[str]:
+def _occupation_numbers(table: PointingTable) -> list[str]:
     """Occupation of the mark to which each pointing belongs."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
@@ -206,7 +210,9 @@ def _occupations(table: PointingTable) -> list[str]:
     return [days[moment] for moment in printed.moment]
 
 
-def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
+def _has_rotated_circle(
+    table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats
+) -> bool:
     """True if the directions of a round differ from the first ones to the same targets in its occupation.
 
     The median difference counts, so that a single gross error has no effect. It must exceed `MIN_CIRCLE_ROTATION`, or
@@ -228,7 +234,7 @@ def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimut
     return False
 
 
-def over_marks(
+def with_setups_over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
     """Set-up with stations over the targets of the same names, and levelled stations.
@@ -242,7 +248,7 @@ def over_marks(
     names = dict.fromkeys(table.pointings.station)
     marks = {name: table.marks.get(name, name) for name in names}
     over_mark = Counter(marks.values())
-    if heights or (levelled and _closes(table, readings)):
+    if heights or (levelled and _has_closed_lines(table, readings)):
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
     else:
         shared = {marks[name] for name in rounds}
@@ -265,15 +271,15 @@ def over_marks(
     return setup, [note] if heights or levelled else []
 
 
-def _closes(table: PointingTable, readings: Floats) -> bool:
+def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
     """True if lines measured to and fro between marks agree in length, and in height if heights were measured.
 
     The median counts, without heights of instruments and targets, and with the curvature of the earth.
     """
     level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
-    rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
+    rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH_RADIUS)
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for line, length, rise in zip(_lines(table), level.tolist(), rises.tolist(), strict=True):
+    for line, length, rise in zip(_mark_and_target(table), level.tolist(), rises.tolist(), strict=True):
         lines.setdefault(line, []).append((length, rise))
     mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
     misses = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
@@ -284,7 +290,7 @@ def _closes(table: PointingTable, readings: Floats) -> bool:
     return float(np.median(length)) < MAX_CLOSURE_M and (not len(heights) or float(np.median(heights)) < MAX_CLOSURE_M)
 
 
-def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
+def _mark_and_target(table: PointingTable) -> Iterator[tuple[str, str]]:
     """Mark and target of each pointing."""
     return zip(table.mark, table.pointings.target, strict=True)
 
@@ -313,18 +319,18 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     rise = readings[:, 0] * np.sin(readings[:, 2])
     with_heights = rise + heights[:, 0] - heights[:, 1]
-    for line, up, other in zip(_lines(table), rise.tolist(), with_heights.tolist(), strict=True):
+    for line, up, other in zip(_mark_and_target(table), rise.tolist(), with_heights.tolist(), strict=True):
         if up == up:
             lines.setdefault(line, []).append((up, other))
     mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
-    if len(misses) < MIN_LINES:
+    if len(misses) < MIN_CLOSED_LINES:
         return []
     for kind in (np.median, np.max):
         without, applied = kind(misses, axis=0)
         if not without < MAX_CLOSURE_RATIO * applied:
             return []
-    names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
+    names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
         f"heights in {names} are not applied: {len(misses)} lines seen to and fro close within "
         f"{1e3 * misses[:, 0].max():.3g} mm without them, {1e3 * misses[:, 1].max():.4g} mm with them; "

@@ -27,26 +27,28 @@ from ltsim.core.limits import (
     WORKBOOK_BYTES,
     WORKBOOK_PARTS,
 )
-from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, shown
-from ltsim.recordings.tables.cells import grouping_of, is_value
-from ltsim.recordings.xml import check_part
+from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
+from ltsim.recordings.tables.cells import is_value, thousands_separator
+from ltsim.recordings.xml import check_xml_part
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
-WORKBOOK = b"PK\x03\x04"
-SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE_LINES, SAMPLE_CHARACTERS = 400, 100_000
-"""Number of lines, and of characters in them, that decide on the separator."""
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
+WORKBOOK_SUFFIXES = b"PK\x03\x04"
+FIELD_SEPARATORS = ("\t", ";", ",", " ")
+N_SAMPLE_LINES = 400
+"""Number of lines that decide on the separator."""
+MAX_SAMPLE_CHARACTERS = 100_000
+"""Number of characters that decide on the separator."""
 
 
-class Row(NamedTuple):
+class SheetRow(NamedTuple):
     """Fields of one line; a line that begins with # is a comment."""
 
     line: int
     fields: tuple[str, ...]
-    comment: bool = False
+    is_comment: bool = False
 
     @property
-    def values(self) -> int:
+    def n_values(self) -> int:
         """Number of fields with a number or an angle."""
         return sum(map(is_value, self.fields))
 
@@ -60,10 +62,10 @@ class Row(NamedTuple):
             raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
     def __str__(self) -> str:
-        return shown(" ".join(field for field in self.fields if field), 30)
+        return quoted_text(" ".join(field for field in self.fields if field), 30)
 
 
-class TextRows(Sequence[Row]):
+class TextRows(Sequence[SheetRow]):
     """Rows of a text file, split into fields on access: as text they take a fifth of the memory."""
 
     def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
@@ -73,26 +75,26 @@ class TextRows(Sequence[Row]):
         return len(self._lines)
 
     @overload
-    def __getitem__(self, place: int) -> Row: ...
+    def __getitem__(self, place: int) -> SheetRow: ...
 
     @overload
     def __getitem__(self, place: slice) -> TextRows: ...
 
-    def __getitem__(self, place: int | slice) -> Row | TextRows:
+    def __getitem__(self, place: int | slice) -> SheetRow | TextRows:
         if isinstance(place, slice):
             return TextRows(self._lines[place], self._separator)
         return self._row(*self._lines[place])
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[SheetRow]:
         return starmap(self._row, self._lines)
 
-    def _row(self, number: int, line: str) -> Row:
+    def _row(self, number: int, line: str) -> SheetRow:
         if "#" in line and line.lstrip().startswith("#"):
-            return Row(number, _split(line.lstrip().lstrip("#"), self._separator), comment=True)
-        return Row(number, _split(line, self._separator))
+            return SheetRow(number, _split_fields(line.lstrip().lstrip("#"), self._separator), is_comment=True)
+        return SheetRow(number, _split_fields(line, self._separator))
 
     @property
-    def mixed(self) -> TextRows:
+    def rows_with_comma_and_point(self) -> TextRows:
         """Rows that may have a field with both a comma and a point."""
         whole = self._separator == ","  # fields then hold commas in quotes alone
         mixed = [line for line in self._lines if "," in line[1] and "." in line[1] and ('"' in line[1] or not whole)]
@@ -100,31 +102,31 @@ class TextRows(Sequence[Row]):
 
 
 @dataclass(frozen=True)
-class Sheet:
+class TableSheet:
     """Rows of a text file or of one sheet of a workbook, without blank lines.
 
-    `open_end` is True if the last line has no line break; `station` is the set-up of all rows, if known.
+    `has_incomplete_end` is True if the last line has no line break; `station` is the set-up of all rows, if known.
     """
 
     file: Path
-    rows: Sequence[Row]
+    rows: Sequence[SheetRow]
     station: str = ""
-    open_end: bool = False
+    has_incomplete_end: bool = False
 
     @cached_property
-    def grouping(self) -> str:
+    def thousands_separator(self) -> str:
         """Thousands separator of the numbers; raises RecordError for two different ones."""
-        rows = self.rows.mixed if isinstance(self.rows, TextRows) else self.rows
-        return grouping_of((row.fields for row in rows), self.file)
+        rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
+        return thousands_separator((row.fields for row in rows), self.file)
 
-    def check_whole(self, width: int, *, strict: bool = False) -> None:
+    def require_complete_end(self, width: int, *, strict: bool = False) -> None:
         """Check that the last line is complete: it has a line break or ends like the line before it.
 
         Raises RecordError.
 
         `strict` requires the line break, for files written by programs.
         """
-        if not self.open_end:
+        if not self.has_incomplete_end:
             return
         row = self.rows[-1]
         earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
@@ -134,83 +136,90 @@ class Sheet:
             raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 
-def is_folder(path: Path) -> bool:
+def is_table_folder(path: Path) -> bool:
     """True for a folder of tables that is no recording of ltsim."""
     try:
-        return path.is_dir() and not (path / "observations.csv").exists() and bool(files_of(path))
+        return path.is_dir() and not (path / "observations.csv").exists() and bool(table_files(path))
     except OSError:
         return False
 
 
-def files_of(path: Path) -> list[Path]:
+def table_files(path: Path) -> list[Path]:
     """The file itself, or the tables of a folder in the order of their names."""
     if not path.is_dir():
         return [path]
-    return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in SUFFIXES and f.name[0] != ".")
+    return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in TABLE_SUFFIXES and f.name[0] != ".")
 
 
-def sheets_of(path: Path) -> list[Sheet]:
+def read_sheets(path: Path) -> list[TableSheet]:
     """Sheets of a file or of all files of a folder; several are each named by their set-up.
 
     Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library that reads it
     is missing.
     """
     sheets = []
-    for file in files_of(path):
-        sheets += _workbook(file) if file.suffix.lower() == ".xlsx" else [text_sheet(file)]
+    for file in table_files(path):
+        sheets += _read_workbook(file) if file.suffix.lower() == ".xlsx" else [read_text_sheet(file)]
     return sheets if len(sheets) > 1 else [replace(sheet, station="") for sheet in sheets]
 
 
-def text_sheet(file: Path) -> Sheet:
+def read_text_sheet(file: Path) -> TableSheet:
     """Sheet of a text file; raises RecordError."""
     lines = read_lines(file, liberal=True)
-    return Sheet(file, _rows(lines, file), file.stem, open_end=bool(lines[-1]))
+    return TableSheet(file, _non_blank_rows(lines, file), file.stem, has_incomplete_end=bool(lines[-1]))
 
 
-def _rows(lines: Sequence[str], file: Path) -> TextRows:
+def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     """Rows of the lines that are not blank; raises RecordError for a line with too many fields."""
-    separator = _separator_of(lines)
+    separator = _detect_separator(lines)
     held = []
     for i, line in enumerate(lines):
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not says_separator:
             if len(line) >= FIELDS:
-                _check_fields(_split(line, separator), i + 1, file)
+                _require_few_fields(_split_fields(line, separator), i + 1, file)
             held.append((i + 1, line))
     return TextRows(held, separator)
 
 
-def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
+def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
     """Check of the number of columns in a row; raises RecordError for more than `FIELDS`."""
     if len(fields) > FIELDS:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {FIELDS}")
 
 
-def rows_of_head(head: str) -> list[Row]:
+def head_rows(head: str) -> list[SheetRow]:
     """First lines of a file as rows, comments included, for the detection of its format."""
     lines = [line for line in head.splitlines() if line.strip()]
-    separator = _separator_of(lines)
-    return [Row(i + 1, _split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]
+    separator = _detect_separator(lines)
+    return [
+        SheetRow(i + 1, _split_fields(line.lstrip("# "), separator), line.startswith("#"))
+        for i, line in enumerate(lines[:60])
+    ]
 
 
-def _separator_of(lines: Sequence[str]) -> str:
+def _detect_separator(lines: Sequence[str]) -> str:
     """Separator for which most lines have equal width and contain most values.
 
-    The first of `SEPARATORS` in case of a tie.
+    The first of `FIELD_SEPARATORS` in case of a tie.
 
     Lines with three columns have priority over those with two, and these over the number of columns.
     """
-    first = zip(lines[:SAMPLE_LINES], accumulate(map(len, lines[:SAMPLE_LINES]), initial=0), strict=False)
-    sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
+    first = zip(lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False)
+    sample = [
+        line for line, before in first if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
+    ]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
-    width = {s: max((len(_split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
-    return max(SEPARATORS, key=lambda s: (_values(sample, s, 3), _values(sample, s, 2), width.get(s, 0)))
+    width = {s: max((len(_split_fields(line, s)) for line in sample[:1]), default=0) for s in FIELD_SEPARATORS[:3]}
+    return max(
+        FIELD_SEPARATORS, key=lambda s: (_count_values(sample, s, 3), _count_values(sample, s, 2), width.get(s, 0))
+    )
 
 
-def _values(lines: Sequence[str], separator: str, least: int) -> int:
+def _count_values(lines: Sequence[str], separator: str, least: int) -> int:
     """Largest number of cells with values in lines of equal width with at least `least` columns."""
-    rows = [fields for fields in (_split(line, separator) for line in lines) if len(fields) >= least]
+    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= least]
     test = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
     for fields in rows:
@@ -218,7 +227,7 @@ def _values(lines: Sequence[str], separator: str, least: int) -> int:
     return max(counts.values(), default=0)
 
 
-def _split(line: str, separator: str) -> tuple[str, ...]:
+def _split_fields(line: str, separator: str) -> tuple[str, ...]:
     """Fields of one line; CSV quotes are removed."""
     if separator == " ":
         return tuple(line.split())
@@ -236,38 +245,40 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
     Raises RecordError when a column is there twice, or a row has more or fewer cells than the header.
     """
-    lines = [row for row in text_sheet(path).rows if not row.comment]
+    lines = [row for row in read_text_sheet(path).rows if not row.is_comment]
     if not lines:
         raise RecordError("contains only comments, expected a header and rows", file=path)
     header, *rows = lines
     twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if twice is not None:
-        raise SourceLocation(path, header.line).error("this column appears twice in the header", shown(twice))
+        raise SourceLocation(path, header.line).error("this column appears twice in the header", quoted_text(twice))
     for row in rows:
         row.check_width(len(header.fields), path)
     return list(header.fields), [(r.line, dict(zip(header.fields, r.fields, strict=True))) for r in rows]
 
 
-def _workbook(file: Path) -> list[Sheet]:
+def _read_workbook(file: Path) -> list[TableSheet]:
     """Sheets of a workbook (xlsx) that are not empty, with names; raises RecordError."""
-    sheets = [Sheet(file, tuple(_row(*line) for line in cells), name) for name, cells in workbook_cells(file)]
+    sheets = [
+        TableSheet(file, tuple(_workbook_row(*line) for line in cells), name) for name, cells in workbook_cells(file)
+    ]
     for row in chain.from_iterable(sheet.rows for sheet in sheets):
-        _check_fields(row.fields, row.line, file)
+        _require_few_fields(row.fields, row.line, file)
     return [sheet for sheet in sheets if sheet.rows]
 
 
-def _row(line: int, fields: Sequence[str]) -> Row:
+def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
     """Row of a workbook; an error value of a spreadsheet is no comment."""
     comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
-    return Row(line, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)
+    return SheetRow(line, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)
 
 
-_MOMENTS = (datetime, date, time)
-Line = tuple[int, list[str]]
+_DATE_TYPES = (datetime, date, time)
+WorkbookRow = tuple[int, list[str]]
 """Number of a row, from 1, and its cells up to the last one that is not empty."""
 
 
-def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
+def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Names of the sheets of a workbook, each with its rows that are not empty.
 
     Raises RecordError for a file that is no workbook, is damaged or exceeds a limit, and if the library that reads
@@ -280,12 +291,12 @@ def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
         raise RecordError(message, file=file) from None
     packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        _check_parts(file, packed)
+        _check_workbook_parts(file, packed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
             book = load_workbook(packed, read_only=True, data_only=True, keep_links=False)
             try:
-                return _sheets(book, file)
+                return _read_workbook_sheets(book, file)
             finally:
                 book.close()
     except RecordError:
@@ -297,7 +308,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
         raise RecordError(what, file=file) from None
 
 
-def _check_parts(file: Path, packed: io.BytesIO) -> None:
+def _check_workbook_parts(file: Path, packed: io.BytesIO) -> None:
     """Check of the unpacked size and of the XML depth of a workbook; raises RecordError."""
     with zipfile.ZipFile(packed) as archive:
         parts = archive.infolist()
@@ -309,10 +320,10 @@ def _check_parts(file: Path, packed: io.BytesIO) -> None:
         for part in parts:
             content = archive.read(part)
             if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
-                check_part(content, file)
+                check_xml_part(content, file)
 
 
-def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
+def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Rows of all sheets of an open workbook, counted together because several sheets may refer to the same part."""
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > SHEETS:
@@ -321,14 +332,14 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
     contents = []
     for sheet in sheets:
         sheet.reset_dimensions()  # the size that the file declares need not be true
-        lines: list[Line] = []
+        lines: list[WorkbookRow] = []
         for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
-            where = f"up to row {number} of sheet {shown(sheet.title)}"
+            where = f"up to row {number} of sheet {quoted_text(sheet.title)}"
             rows, cells = rows + 1, cells + len(values)
             if rows > LINES or cells > CELLS:
                 what = f"holds more than {LINES} rows or {CELLS} cells {where}, the limit for reading"
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
-            texts = _texts(values)
+            texts = _cell_texts(values)
             size = sum(map(len, texts))
             characters += size
             if size > LINE_CHARACTERS or characters > FILE_BYTES:
@@ -339,16 +350,16 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
     return contents
 
 
-def _text(cell: object) -> str:
+def _cell_text(cell: object) -> str:
     """Text of a cell; a date without a time of day is written without one."""
     if isinstance(cell, datetime) and cell.time() == time():
         cell = cell.date()
-    return "" if cell is None else cell.isoformat() if isinstance(cell, _MOMENTS) else str(cell).strip()
+    return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()
 
 
-def _texts(values: tuple[Any, ...]) -> list[str]:
+def _cell_texts(values: tuple[Any, ...]) -> list[str]:
     """Texts of the cells of a row: ISO dates, numbers with their shortest digits, no empty cells at the end."""
-    texts = list(map(_text, values))
+    texts = list(map(_cell_text, values))
     while texts and not texts[-1]:
         texts.pop()
     return texts

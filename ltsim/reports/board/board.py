@@ -16,14 +16,22 @@ from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import PLAN, SCENARIO, with_cad_copied, with_layout
-from ltsim.planning.planner import sight_table
-from ltsim.planning.result import opened
-from ltsim.planning.site import COINCIDENCE_M, MIN_TARGETS, SearchSpace, words_of
+from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE, copy_cad_files, with_layout
+from ltsim.planning.planner import layout_visibility
+from ltsim.planning.result import load_plan_and_scenario
+from ltsim.planning.site import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Tolerances, is_met, judged, losses_of, percent, radius, verdict
-from ltsim.planning.workshop import as_it_stands
+from ltsim.planning.survey import PlannedSurvey
+from ltsim.planning.tolerances import (
+    PointTolerances,
+    check_tolerances,
+    checks_after_required_losses,
+    error_radius,
+    is_met,
+    percent_text,
+    plan_verdict,
+)
+from ltsim.planning.workshop import unsearched_plan
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.settings import to_toml
 from ltsim.reports.scene3d import Camera
@@ -31,13 +39,14 @@ from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop import from_scenario
 from ltsim.scene.floor import grid_step
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import Reason, shadow_radius
+from ltsim.scene.visibility import InvisibilityReason, shadow_radii
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MAX_TRIANGLES = 20_000
 """Largest number of triangles of obstacles drawn from above; the largest triangles are retained."""
-MIN_STATIONS, MAX_STATIONS = 2, 40
+MIN_STATIONS = 2
+MAX_STATIONS = 40
 """Smallest and largest number of stations of a layout, as of a plan file."""
 NAME = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
@@ -57,44 +66,46 @@ class Board:
     site: SearchSpace
     """Search space; its survey has the faces and rounds of the scenario."""
     construction: Construction
-    demands: Tolerances
+    demands: PointTolerances
     """Tolerances of points."""
 
     @classmethod
     def of(cls, source: str | Path) -> Board:
         """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
-        named, scenario = opened(source)
-        file, site = as_it_stands(named, scenario)
-        return cls(file, scenario, site, planned_construction(scenario), Tolerances.of(file))
+        named, scenario = load_plan_and_scenario(source)
+        file, site = unsearched_plan(named, scenario)
+        return cls(file, scenario, site, planned_construction(scenario), PointTolerances.from_plan_file(file))
 
     def hall(self) -> dict[str, Any]:
         """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial station positions."""
         survey, floor = self.site.survey, self.file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
-        groups = {point.name: point.group for point in self.file.listed}
+        groups = {point.name: point.group for point in self.file.listed_points}
+        tolerances = self.demands.tolerance_by_point
+        stations = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return {
             "title": self.file.title or self.scenario.title,
             "size": [v * MILLIMETRE for v in self.scenario.workshop.size_mm],
-            "level": 100 * self.demands.level,
+            "level": 100 * self.demands.confidence_level,
             "areas": [
                 {"name": name, "outlines": [area.outline.tolist(), *(hole.tolist() for hole in area.holes)]}
-                for name, area in zip(names, self.site.areas, strict=True)
+                for name, area in zip(names, self.site.allowed_areas, strict=True)
             ],
             "free": [
                 {"name": name, "outline": place.outline.tolist()}
-                for name, place in zip(free, self.site.keep_outs, strict=True)
+                for name, place in zip(free, self.site.forbidden_areas, strict=True)
             ],
             "obstacles": _from_above(self.site.obstacles),
             "points": [
                 {"name": name, "at": place, "group": groups.get(name, ""),
-                 "tolerance_um": tolerance / MICROMETRE if (tolerance := self.demands.tolerance.get(name)) else None}
-                for name, place in zip(survey.target_names, survey.points.tolist(), strict=True)
+                 "tolerance_um": tolerance / MICROMETRE if (tolerance := tolerances.get(name)) else None}
+                for name, place in zip(survey.target_names, survey.target_points.tolist(), strict=True)
             ],
             "stations": [
                 {"name": name, "mm": np.round(place / MILLIMETRE, 1).tolist(),
                  "yaw": round(float(yaw) / DEGREE % 360, 2)}
-                for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+                for name, place, yaw in stations
             ],
             "places": np.round(self._places / MILLIMETRE, 1).tolist(),
         }  # fmt: skip
@@ -103,11 +114,11 @@ class Board:
     def _places(self) -> Floats:
         """Places (P, 3) [m] for an additional station with enough visible targets, at most `MAX_PLACES` of them."""
         search = self.file.search
-        places = self.site.places(grid_step(self.site.areas, search.grid_mm), search.heights)
+        places = self.site.grid_places(grid_step(self.site.allowed_areas, search.grid_mm), search.heights)
         places = places[:: max(1, -(-len(places) // MAX_PLACES))]
-        return places[self.site.visible(places).sum(axis=1) >= MIN_TARGETS] if len(places) else places
+        return places[self.site.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS] if len(places) else places
 
-    def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
+    def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
         """Survey with the given stations (`name`, `mm` (3) and `yaw` [deg] of each); raises SetupError.
 
         Additional stations take sights and order of the stations of the plan in turn.
@@ -131,44 +142,44 @@ class Board:
         like = [before.index(name) if name in before else k % len(before) for k, name in enumerate(names)]
         return survey.replace(
             station_names=names,
-            position=place * MILLIMETRE,
-            yaw=yaw * DEGREE,
-            visible=survey.visible[like],
-            rank=None if survey.rank is None else survey.rank[like],
+            station_positions=place * MILLIMETRE,
+            station_yaws=yaw * DEGREE,
+            is_visible=survey.is_visible[like],
+            target_ranks=None if survey.target_ranks is None else survey.target_ranks[like],
         )
 
-    def _site(self, survey: Survey) -> SearchSpace:
+    def _site(self, survey: PlannedSurvey) -> SearchSpace:
         """Search space of the plan for a survey with any number of stations."""
         asked = self.file.stations.min_stations_per_target
-        return self.site.replace(survey=survey, min_sights=len(survey.position) if asked == "all" else asked)
+        return self.site.replace(survey=survey, min_sights=len(survey.station_positions) if asked == "all" else asked)
 
     def judged(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
         survey = self.survey(stations)
-        site, places = self._site(survey), self.site.broken_places(survey)
+        site, places = self._site(survey), self.site.broken_position_rules(survey)
         if _touches(survey):
-            return {"problem": words_of(places)}
-        table = sight_table(site, survey)
-        survey = survey.replace(visible=table.visible)
+            return {"problem": broken_rules_text(places)}
+        table = layout_visibility(site, survey)
+        survey = survey.replace(is_visible=table.is_visible)
         evaluation = {
-            "reasons": table.reason.tolist(),
-            "hidden": int(Reason.OBSTACLE),
-            "may_stand": self.site.allowed(survey.position).tolist(),
-            "shadow": shadow_radius(survey.position, 0.0, self.site.limits.cone_opening).tolist(),
-            "hours": survey.seconds / 3600.0,
-            "problem": words_of((*places, *site.broken_sights(survey))),
+            "reasons": table.reasons.tolist(),
+            "hidden": int(InvisibilityReason.OBSTACLE),
+            "may_stand": self.site.is_allowed(survey.station_positions).tolist(),
+            "shadow": shadow_radii(survey.station_positions, 0.0, self.site.sight_limits.cone_opening).tolist(),
+            "hours": survey.duration / 3600.0,
+            "problem": broken_rules_text((*places, *site.broken_sight_rules(survey))),
         }
-        visible = np.asarray(survey.visible.any(axis=0))
+        visible = np.asarray(survey.is_visible.any(axis=0))
         try:
-            information = LayoutInformation.of(survey.only(visible), self.construction)
+            information = LayoutInformation.from_survey(survey.with_targets_only(visible), self.construction)
             covariance = information.target_covariance
         except LtsimError as problem:
             return evaluation | {"problem": f"{problem}"}
         points: list[dict[str, Any] | None] = [None] * len(visible)
-        sigma, within = information.target_sigma, radius(covariance, self.demands.level)
+        sigma, within = information.target_sigmas, error_radius(covariance, self.demands.confidence_level)
         for k, t in enumerate(np.flatnonzero(visible)):
             accuracy = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
-            tolerance = self.demands.tolerance.get(survey.target_names[t])
+            tolerance = self.demands.tolerance_by_point.get(survey.target_names[t])
             points[t] = accuracy | (_against(float(within[k]) / tolerance) if tolerance else {})
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
@@ -178,11 +189,11 @@ class Board:
         if not self.demands or _touches(survey):
             return None
         site = self._site(survey)
-        survey = survey.replace(visible=sight_table(site, survey).visible)
-        losses = losses_of(survey, self.demands, self.construction)
-        checks = judged(survey, self.demands, self.construction)
-        judgement = verdict(self.demands, checks, losses, site.broken_rules(survey))
-        return {"reached": judgement.reached, "words": judgement.words}
+        survey = survey.replace(is_visible=layout_visibility(site, survey).is_visible)
+        losses = checks_after_required_losses(survey, self.demands, self.construction)
+        checks = check_tolerances(survey, self.demands, self.construction)
+        judgement = plan_verdict(self.demands, checks, losses, site.broken_rules(survey))
+        return {"reached": judgement.is_goal_reached, "words": judgement.sentences}
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """Scenario with the given stations."""
@@ -199,22 +210,25 @@ class Board:
         for key in ("workshop", "instrument", "smr", "work"):
             plan.pop(key, None)
         names = list(scenario.stations)
-        plan |= {"format": self.file.format, "scenario": SCENARIO}
+        plan |= {"format": self.file.format, "scenario": SCENARIO_FILE}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
-        scenario, cad = with_cad_copied(scenario)
-        texts = {SCENARIO: scenario_to_toml(scenario), PLAN: to_toml(plan)}
+        scenario, cad = copy_cad_files(scenario)
+        texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
         write_texts(folder, {**cad, **texts})
         return [folder / name for name in texts]
 
 
 def _against(ratio: float) -> dict[str, Any]:
     """Ratio of an error to its tolerance, its text in percent, and True if the tolerance is met."""
-    return {"ratio": ratio, "used": percent(ratio), "met": is_met(ratio)}
+    return {"ratio": ratio, "used": percent_text(ratio), "met": is_met(ratio)}
 
 
-def _touches(survey: Survey) -> bool:
+def _touches(survey: PlannedSurvey) -> bool:
     """True if a station coincides with a target, so that no accuracy can be computed."""
-    return bool(np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < COINCIDENCE_M)
+    return bool(
+        np.linalg.norm(survey.station_positions[:, None] - survey.target_points, axis=2).min()
+        < MAX_COINCIDENCE_DISTANCE
+    )
 
 
 def _from_above(obstacles: Any) -> str:

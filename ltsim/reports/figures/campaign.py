@@ -13,19 +13,21 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.statistics import NORMAL_95, Scores
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.notation import number
-from ltsim.core.units import BY_ENDING
+from ltsim.core.notation import number_text
+from ltsim.core.units import UNIT_BY_KEY_ENDING
 from ltsim.reports import style
 from ltsim.reports.words import typeset
 
-MAX_PANELS, MAX_LINES = 12, 8
+MAX_PANELS = 12
+MAX_LINES = 8
 LETTERS = 26
 """Width of a label per row of panels [characters]."""
-NINETY, FLOOR = "90 % of trials", "noise floor"
+NINETY = "90 % of trials"
+FLOOR = "noise floor"
 PAPER = MappingProxyType(
     {
         "paper-workshop": {
@@ -64,7 +66,7 @@ class SweepPoint:
 
 def title(factor: Factor) -> str:
     """Title of the axis of a factor: `angle noise [arcsec]`."""
-    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
+    plain = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
     unit = typeset(factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
@@ -74,12 +76,12 @@ def short(factor: Factor, level: Any) -> str:
     if factor.name == "title":
         return str(level)
     name, _, unit = title(factor).partition(" [")
-    value = factor.words(level).removesuffix(f" {factor.unit}") if factor.unit else factor.words(level)
+    value = factor.level_text(level).removesuffix(f" {factor.unit}") if factor.unit else factor.level_text(level)
     return f"{name} {value} {unit.rstrip(']')}".rstrip()
 
 
 def swept(
-    results: Results, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
+    results: CampaignResults, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
 ) -> list[SweepPoint]:
     """Points of a statistic of a campaign for `by_factor` or `by_setting`: one per cell and method.
 
@@ -106,10 +108,10 @@ def swept(
         if wanted not in (there := list(dict.fromkeys(place[name] for place in places))):
             raise unknown_name(f"level of {name}", str(wanted), [str(level) for level in there])
     floor = statistic.replace("error_calibrated", "error_true_parameters")
-    floors = results.spread(floor) if floor != statistic else []
+    floors = results.distribution(floor) if floor != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
     rows = []
-    for s in [*results.spread(statistic), *lowest]:
+    for s in [*results.distribution(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
         if any(here[name] != wanted for name, wanted in levels.items()):
             continue
@@ -123,7 +125,7 @@ def swept(
     return rows
 
 
-def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
+def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """Figure of the means of a statistic along a factor, one line per method, as of `Results.plot`."""
     if not along:
         names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
@@ -308,7 +310,7 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
     style.quiet_axis(ax, grid="none")
     top = 1.05 * float(height.max())
     ax.set_ylim(0, 1.28 * top)
-    mean, half = float(values.mean()), NORMAL_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
+    mean, half = float(values.mean()), NORMAL_QUANTILE_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
     ax.hlines(1.07 * top, *np.percentile(values, [5, 95]), color=style.INK, linewidth=1.0, label="90 % of trials")
     ax.hlines(1.07 * top, mean - half, mean + half, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
     ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER)
@@ -319,7 +321,7 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
         ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
-            typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
+            typeset(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip
@@ -329,21 +331,21 @@ ALLOWED = (0.935, 0.965)
 """Allowed band of the coverage of 95 % intervals."""
 
 
-def interval(row: Scores) -> tuple[float, float]:
+def interval(row: ZScoreSummary) -> tuple[float, float]:
     """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
-    n, z2 = row.trials, NORMAL_95**2
+    n, z2 = row.trials, NORMAL_QUANTILE_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
-    half = NORMAL_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
+    half = NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
     return float(centre - half), float(centre + half)
 
 
-def uncovered(rows: Sequence[Scores]) -> list[bool]:
+def uncovered(rows: Sequence[ZScoreSummary]) -> list[bool]:
     """True for parameters whose whole coverage interval lies outside the allowed band; they are drawn red."""
     return [high < ALLOWED[0] or low > ALLOWED[1] for low, high in map(interval, rows)]
 
 
 @style.styled
-def coverage(rows: Sequence[Scores]) -> Figure:
+def coverage(rows: Sequence[ZScoreSummary]) -> Figure:
     """Coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
     figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, [row.parameter for row in rows])

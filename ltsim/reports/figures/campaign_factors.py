@@ -8,15 +8,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.statistics import Spread
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.statistics import StatisticSummary
 from ltsim.reports.figures.campaign import MAX_LINES, MAX_PANELS, SweepPoint, by_factor, by_setting, short, title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def varied(results: Results) -> list[Factor]:
+def varied(results: CampaignResults) -> list[Factor]:
     """Factors that vary, without those that change together with an earlier one."""
     independent: list[Factor] = []
     for factor in results.factors:
@@ -28,7 +28,7 @@ def varied(results: Results) -> list[Factor]:
     return independent
 
 
-def cell_words(results: Results) -> dict[int, str]:
+def cell_words(results: CampaignResults) -> dict[int, str]:
     """Short description of each cell, by its number."""
     factors = varied(results)
     texts = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
@@ -38,7 +38,7 @@ def cell_words(results: Results) -> dict[int, str]:
     }
 
 
-def level_column(results: Results, factor: Factor) -> list[Any]:
+def level_column(results: CampaignResults, factor: Factor) -> list[Any]:
     """Level of a factor in each cell."""
     return [level[factor.name] for level in results.levels]
 
@@ -50,7 +50,7 @@ def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
 
 
 def drawn(
-    results: Results, spreads: Sequence[Spread], label: str, published: float | None
+    results: CampaignResults, spreads: Sequence[StatisticSummary], label: str, published: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Captions and figures of a statistic.
 
@@ -77,7 +77,9 @@ def drawn(
         yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
 
 
-def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[SweepPoint]]:
+def _lines(
+    results: CampaignResults, factors: Sequence[Factor], spreads: Sequence[StatisticSummary]
+) -> tuple[str, list[SweepPoint]]:
     """Title of the axis, and points of lines over one factor."""
     along, across, panels = arranged(results, factors)
     rows = []
@@ -88,7 +90,7 @@ def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread
     return title(along), rows
 
 
-def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
+def arranged(results: CampaignResults, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
     """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
     levels = {f.name: len(set(level_column(results, f))) for f in factors}
     along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
@@ -101,8 +103,8 @@ def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Facto
 
 def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
     value = level[factor.name]
-    return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
+    return float(value) if factor.kind in ("number", "integer") and value is not None else factor.level_text(value)
 
 
-def _swept(s: Spread, x: float | str, line: str, panel: str) -> SweepPoint:
+def _swept(s: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
     return SweepPoint(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

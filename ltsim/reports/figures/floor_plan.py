@@ -18,7 +18,7 @@ from ltsim.planning.plan_change import PlanChange
 from ltsim.reports import style
 from ltsim.reports.figures.obstacles import draw_obstacles
 from ltsim.reports.workshop import PlacedWorkshop
-from ltsim.scene.floor import Floor, FloorArea, distance
+from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 TURNS = np.radians([0, 180, 90, 270])
 GAP = 6.0
@@ -151,7 +151,7 @@ def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
     """Draw the sides of the floor with at least two targets nearest to them."""
     word: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
-    away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
+    away = np.array([distance_to_outline(side, workshop.points[:, :2]) for side in sides])
     nearest = np.where(away.min(axis=0) < ON_A_WALL, away.argmin(axis=0), -1)
     for number, side in enumerate(sides):
         if np.sum(nearest == number) >= 2:

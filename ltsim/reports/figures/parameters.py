@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number, with_sigma
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
 from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
 
 if TYPE_CHECKING:
-    from ltsim.calibration.history import CourseEntry
+    from ltsim.calibration.history import ParameterCourse
     from ltsim.planning.plan_entries import PlannedParameterEntry
     from ltsim.planning.result import Plan
 
@@ -78,7 +78,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
+    style.at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     style.legend_of(figure, [ax])
     return figure
@@ -125,7 +125,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
 
 
 @style.styled
-def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
+def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> Figure:
     """Course of parameters over calibrations: estimates with 95 % intervals, and mean with spread; one panel each."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))

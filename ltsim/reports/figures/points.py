@@ -76,7 +76,8 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MAX_NAMES = 40
-MAX_STATIONS, NAME = 8, 20
+MAX_STATIONS = 8
+NAME = 20
 """Largest number of stations in a legend, and of characters of a name."""
 BELOW_LEGEND = 0.86
 """Fraction of the axes below an inside legend."""
@@ -99,14 +100,17 @@ def _faces(ax: Axes, check: Check) -> None:
     names: list[str] = []
     at, recording = 0, check.arrays.recording
     for setup in check.arrays.setups:
-        if setup.faces is None:
+        if setup.two_face_differences is None:
             continue
-        share = setup.faces.pairs.half / setup.faces.limit
+        share = (
+            setup.two_face_differences.uncorrected_pairs.half_differences
+            / setup.two_face_differences.max_half_differences
+        )
         places = at + np.arange(len(share))
         for column, (what, colour, marker) in enumerate(OBSERVABLES):
             label = what if at == 0 else None
             ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
-        rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
+        rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         at += len(share)
         ax.axvline(at - 0.5, ymax=BELOW_LEGEND, color=style.INK, lw=0.4)
@@ -130,12 +134,17 @@ def _faces(ax: Axes, check: Check) -> None:
 def _course(ax: Axes, check: Check) -> None:
     scale, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
     for i, setup in enumerate(check.arrays.setups):
-        if setup.visit is None:
+        if setup.occupation is None:
             continue
-        size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
+        size = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
         label = style.shorten(setup.station, NAME) if i < MAX_STATIONS else None
         ax.plot(
-            setup.visit.recording.time / scale, size, ".", ms=4, color=style.CYCLE[i % len(style.CYCLE)], label=label
+            setup.occupation.recording.time / scale,
+            size,
+            ".",
+            ms=4,
+            color=style.CYCLE[i % len(style.CYCLE)],
+            label=label,
         )
     marked = False
     for item in check.items:

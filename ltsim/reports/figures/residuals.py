@@ -8,13 +8,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.schema import Curve, Where
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 
-MAX_STATIONS, MAX_DOTS = 30, 40
+MAX_STATIONS = 30
+MAX_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND = 1.96
 
@@ -118,7 +119,7 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
         rows, label_ = residuals.of(carrier), "residuals without the finding"
         _dots(ax, residuals, rows, covariate, color=style.BEFORE, label=label_, ms=2.5)
-        sign = -FACTOR[unit] / FACTOR[OBSERVABLE_UNIT[carrier]]
+        sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNIT[carrier]]
         unit = OBSERVABLE_UNIT[carrier]
     order = np.argsort(at, kind="stable")
     x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND * sigma[order]

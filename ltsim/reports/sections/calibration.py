@@ -10,14 +10,21 @@ import numpy as np
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import NOISE, OUTLIERS, PARAMETERS, PLACES, RESIDUALS, TARGETS
+from ltsim.calibration.schema import (
+    NOISE_TABLE,
+    OUTLIERS_TABLE,
+    PARAMETERS_TABLE,
+    RESIDUALS_TABLE,
+    STATION_COORDINATES_TABLE,
+    TARGETS_TABLE,
+)
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option
-from ltsim.core.notation import fixed, number
+from ltsim.core.notation import fixed_point_text, number_text
 from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
-from ltsim.recordings.result_file import check_source
+from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
@@ -64,12 +71,12 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         When a file is malformed.
     """
     recording = context.recording
-    check_source(content, recording, context.folder or Path())
+    require_same_recording(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in SETTLED
-    targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    targets, residuals = (context.file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
     pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
@@ -137,7 +144,8 @@ def _answer(content: Calibration, agreement_words: str, targets: Path | None) ->
         compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
-            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um if distance.after else None)} um)"
+            f"({number_text(distance.before.mean_um)} to "
+            f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
     if content.outliers:
         rejected = sum(outlier.excluded for outlier in content.outliers)
@@ -175,13 +183,13 @@ def _facts(content: Calibration, *, agrees: bool) -> list[Fact]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
-        Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
+        Fact("sigma0", fixed_point_text(fit.sigma0, 3), mood(agrees)),
         Fact("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
-        expected = f"{number(content.correction.point_errors_um[1], 3)} um"
+        expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
         facts.append(Fact("expected 3D error of a new point, corrected", expected))
     return facts
 
@@ -196,14 +204,14 @@ def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Bl
     lines = uncertainty_sentences(content)
     blocks += [BulletList("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        lines = [*([content.correction.line] if agrees else []), *content.correction.sentences]
+        lines = [*([content.correction.error_text] if agrees else []), *content.correction.sentences]
         blocks += [BulletList("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
+    blocks += table_block("Outlying readings", OUTLIERS_TABLE.filled(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
-    return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
+    return blocks + table_block("Noise estimated from the readings", NOISE_TABLE.filled(content.noise), note=note)
 
 
 def _reference_values(content: Calibration) -> list[TableBlock]:
@@ -239,16 +247,16 @@ def _actions(content: Calibration, *, good: bool) -> list[str]:
 
 
 def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
-    rows, true_values = content.parameters, {} if truth is None else truth.instrument
+    rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
-    true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
+    true = [true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
         note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
     blocks: list[Block] = [
         Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
-        *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
+        *table_block("Parameters in numbers", PARAMETERS_TABLE.filled(rows), note=note, folds=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
@@ -275,7 +283,7 @@ def _stations(content: Calibration) -> list[TableBlock]:
         for s in content.stations
     ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", PLACES.filled(rows), note=note)
+    return table_block("Stations", STATION_COORDINATES_TABLE.filled(rows), note=note)
 
 
 def workshop_of(

@@ -10,10 +10,18 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.schema import ERRORS, MEANS_BY_LEVEL, SHARES, VARIED, ManifestFile, column_of, errors_of
-from ltsim.campaigns.statistics import Checked, Scores, Spread
-from ltsim.core.notation import number
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.schema import (
+    ERRORS_TABLE,
+    FACTORS_TABLE,
+    MEANS_BY_LEVEL_TABLE,
+    RATIO_STATISTICS,
+    ManifestFile,
+    find_column,
+    ratio_columns,
+)
+from ltsim.campaigns.statistics import SolverComparison, StatisticSummary, ZScoreSummary
+from ltsim.core.notation import number_text
 from ltsim.core.results import Table as TableOf
 from ltsim.reports.document import Block, CodeBlock, Fact, Picture, Section, TableBlock, mood, table_block
 from ltsim.reports.figures.campaign import (
@@ -27,14 +35,17 @@ from ltsim.reports.figures.campaign import (
 )
 from ltsim.reports.figures.campaign_factors import cell_words, drawn, level_column, varied
 from ltsim.reports.words import count, of_presets, sentence
-from ltsim.simulation.keys import meaning_of
+from ltsim.simulation.keys import key_description
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_DRAWN = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
-MAX_CELLS, MAX_VALUES, MAX_SHOWN, MAX_ROWS = 3, 8, 4, 48
+MAX_CELLS = 3
+MAX_VALUES = 8
+MAX_SHOWN = 4
+MAX_ROWS = 48
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -55,10 +66,10 @@ def campaign_section(folder: Path) -> Section:
     SetupError
         When the folder holds no finished shard, or a damaged one.
     """
-    results = Results(folder)
+    results = CampaignResults(folder)
     manifest = results.manifest
-    spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
-    scores, ends = results.z_scores(), results.checked()
+    spreads = {name: results.distribution(name) for name in results.columns if ":" not in name}
+    scores, ends = results.z_score_summaries(), results.solver_comparisons()
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
     drawn_ = _distributions(results, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
@@ -85,11 +96,13 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean(s: Spread, level: str = "95 %: ") -> str:
-    return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
+def _mean(s: StatisticSummary, level: str = "95 %: ") -> str:
+    return f"{number_text(s.mean)} ({level}{number_text(s.low)} to {number_text(s.high)})"
 
 
-def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
+def _answer(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+) -> str:
     """Answer: factors, improvement by calibration, best and worst cells."""
     manifest, factors = results.manifest, varied(results)
     fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
@@ -104,18 +117,20 @@ def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequenc
             means_in_words.append(f"{method} by {_mean(means[0])} %")
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
-            means_in_words.append(f"{method} by {number(low)} to {number(high)} %")
+            means_in_words.append(f"{method} by {number_text(low)} to {number_text(high)} %")
     text = f"{size}, calibration improves the distance criterion on average: {'; '.join(means_in_words)}."
     return (text if means_in_words else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
 
-def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
+def _extremes(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> str:
     means = spreads.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
     names, several = cell_words(results), len(results.manifest.methods) > 1
     least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
-    first, last = (f"{number(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most))
+    first, last = (
+        f"{number_text(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most)
+    )
     return f" The error of the targets is smallest with {first} and largest with {last}."
 
 
@@ -123,7 +138,7 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
+def _facts(manifest: ManifestFile, ends: Sequence[SolverComparison], scores: Sequence[ZScoreSummary]) -> list[Fact]:
     failed = sum(end.failed for end in ends)
     checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
     facts = [
@@ -140,17 +155,17 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
     return facts
 
 
-def _varied(results: Results) -> list[Block]:
+def _varied(results: CampaignResults) -> list[Block]:
     rows = []
     for factor in results.factors:
-        values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
+        values = list(dict.fromkeys(factor.level_text(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MAX_VALUES else [values[0], "...", values[-1]]
-        meaning = meaning_of(factor.keys[0]).replace("`", "")
+        meaning = key_description(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
-    return [*table_block("What was varied", VARIED.filled(rows))]
+    return [*table_block("What was varied", FACTORS_TABLE.filled(rows))]
 
 
-def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[TableBlock]:
+def _by_factor(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> list[TableBlock]:
     """Table of means over the cells of each level, if there are many cells; factors with few levels first."""
     if len(results.levels) <= MAX_ROWS:
         return []
@@ -158,13 +173,15 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Ta
     for factor in sorted(varied(results), key=lambda f: len(set(level_column(results, f)))):
         for name in filter(spreads.get, LABELS):
             for s in spreads[name]:
-                key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
+                key = title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
     rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in groups.items()]
-    return table_block("Means over the settings of a level", MEANS_BY_LEVEL.filled(rows))
+    return table_block("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.filled(rows))
 
 
-def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
+def _improvements(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], published: Mapping[str, float]
+) -> list[Block]:
     """Figures of means with intervals over the settings, compared with the published values."""
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
@@ -175,29 +192,30 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
             outside = [s for s in rows if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
             where = f"outside in {len(outside)} of {len(rows)} settings" if outside else "inside in every setting"
             comparison = (
-                f" The published value {number(paper)} is dashed; compared with the 90 % of the trials it is {where}."
+                f" The published value {number_text(paper)} is dashed; compared with the 90 % of the trials it "
+                f"is {where}."
             )
             caption = text if paper is None else text + comparison
             blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
     return blocks
 
 
-def campaign_figure(results: Results) -> Figure:
+def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main statistic over the factors; of distributions if nothing varies."""
     if len(results.levels) > 1:
         for column, label in LABELS.items():
             if column in results.columns:
-                return next(drawn(results, results.spread(column), label, None))[1]()
+                return next(drawn(results, results.distribution(column), label, None))[1]()
     return distributions(_rows_of(results, {}))
 
 
-def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDistribution]:
+def _rows_of(results: CampaignResults, published: Mapping[str, float]) -> list[TrialDistribution]:
     """Distributions of the criteria, or of other errors, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
-    values = {c: results.values(c, cell, results.manifest.methods[0], most=MAX_DRAWN) for c in wanted}
+    values = {c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN) for c in wanted}
     return [
         TrialDistribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
@@ -205,7 +223,7 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDist
     ]
 
 
-def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
+def _distributions(results: CampaignResults, published: Mapping[str, float]) -> list[Block]:
     """Histograms of the criteria of the first method, if there is one setting."""
     rows = [] if len(results.levels) > 1 else _rows_of(results, published)
     caption = "Dashed: published values, with the share of trials below them." if published else ""
@@ -213,7 +231,7 @@ def _distributions(results: Results, published: Mapping[str, float]) -> list[Blo
     return [Picture(title, partial(distributions, rows), caption)] if rows else []
 
 
-def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
+def _coverage(results: CampaignResults, scores: Sequence[ZScoreSummary]) -> list[Block]:
     """z-scores and coverage: figure for the first cell of each method, table for all cells."""
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in scores):
@@ -226,7 +244,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 
-def coverage_words(rows: Sequence[Scores]) -> str:
+def coverage_words(rows: Sequence[ZScoreSummary]) -> str:
     """Sentence on the parameters whose coverage is outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
     red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
@@ -244,36 +262,38 @@ def _column_words(column: str) -> str:
     return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
 
 
-def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+def _errors(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> list[Block]:
     """Tables of errors before and after calibration, with the noise floor that no parameter removes."""
     names = cell_words(results)
     blocks: list[Block] = []
-    for share in SHARES:
-        entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
+    for share in RATIO_STATISTICS:
+        entries = [spreads.get(name, []) for name in (*ratio_columns(share), share)]
         rows = [
             [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
         ]
         named = "new point" if share.startswith("new_point") else "point"
         note = f"{_meaning(share)}. Noise floor: error with the true parameters. In brackets: 95 % interval."
-        blocks += table_block(f"Error of a {named}", ERRORS.filled(rows), note=note)
+        blocks += table_block(f"Error of a {named}", ERRORS_TABLE.filled(rows), note=note)
     return blocks
 
 
 def _meaning(column: str) -> str:
-    declared = column_of(column)
+    declared = find_column(column)
     return sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
+def _statistics(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+) -> list[Block]:
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
+    shown = _settings(results, cells.with_columns(" ".join(name for name in cells.header if name not in more)))
     means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
-    ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
+    ended = _settings(results, ended.with_columns(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
         CodeBlock("Definitions of the statistics", "\n".join(means)),
@@ -281,7 +301,7 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Seq
     ]
 
 
-def _settings(results: Results, table: TableOf) -> TableOf:
+def _settings(results: CampaignResults, table: TableOf) -> TableOf:
     """Table of cells with the settings displayed as given: 0.5 and not 0.5000."""
     given = {f.name for f in results.factors}
     columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.adjustment.identification.selection import LARGEST_GAIN
-from ltsim.calibration.schema import RESIDUALS
+from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.errors import LtsimError
-from ltsim.core.notation import NONE, number, with_sigma
+from ltsim.core.notation import MISSING_TEXT, number_text, with_sigma
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.results import Table, texts
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS, UNDETECTABLE, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
 from ltsim.physics.effects import title_of
-from ltsim.physics.effects.verbs import effect_from
+from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.result_file import check_source
+from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
@@ -80,7 +80,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
         When a file is malformed.
     """
     recording = context.recording
-    check_source(content, recording, context.folder or Path())
+    require_same_recording(content, recording, context.folder or Path())
     pair = adjusted_if_possible(recording)
     before, after = _residuals(content, context, pair)
     truth = truth_of(context)
@@ -110,7 +110,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
-        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied])
+        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied_effects])
         notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
@@ -171,14 +171,14 @@ def _facts(content: Diagnosis) -> list[Fact]:
 
 
 def _ratio(fit: Misfit) -> str:
-    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else NONE
+    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else MISSING_TEXT
 
 
 def _residuals(
     content: Diagnosis, context: ReportContext, pair: Pair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings, with covariates from the geometry of the recording."""
-    file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
+    file, stored = (context.file(name, content) for name in (RESIDUALS_TABLE.file, BEFORE.file))
     geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -207,8 +207,8 @@ def _finding(
     lines = [
         f"where: {_place(finding.where)}",
         "without it, no network fits the readings"
-        if evidence.chi2_drop >= LARGEST_GAIN
-        else f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
+        if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
+        else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
         *(f"alternative: {effect_words(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
@@ -290,7 +290,7 @@ def _hidden(content: Diagnosis) -> list[TableBlock]:
     ]
     worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
     named = [u.model_copy(update={"effect": title_of(u.effect)}) for u in worst]
-    table = UNDETECTABLE.filled(named).only("effect undetected_target_error_um detectable_at_factor")
+    table = UNDETECTABLE.filled(named).with_columns("effect undetected_target_error_um detectable_at_factor")
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
     note += f" To detect them: {cures}." if cures else ""
@@ -308,7 +308,7 @@ def _detectability(content: Diagnosis) -> list[TableBlock]:
 
 def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.applied}
+    named = {a.effect.name: a for a in truth.applied_effects}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [
@@ -316,22 +316,25 @@ def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
     table = table_block("Injected and diagnosed", INJECTED.filled(rows), note=note)
-    return [*_curves(content, truth.applied[0], pair), *table]
+    return [*_curves(content, truth.applied_effects[0], pair), *table]
 
 
 def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
     """Rows of an injected effect and its finding: effect, place, values, shape constants."""
     true: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
-        sizes = zip(injected.effect.parameters, injected.values, strict=True)
-        true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
-        true |= {s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit) for s in injected.effect.shape}
+        sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
+        true = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
+        true |= {
+            s.name: (getattr(injected.effect, s.name) / SI_PER_UNIT[s.unit], s.unit)
+            for s in injected.effect.shape_parameters
+        }
     values = {} if finding is None else {p.name: p for p in finding.parameters}
-    where = [_place_of(x) if x else NONE for x in (injected and injected.effect, finding and finding.where)]
+    where = [_place_of(x) if x else MISSING_TEXT for x in (injected and injected.effect, finding and finding.where)]
     rows = [
         [
             "effect",
-            title_of(injected.effect.name) if injected else NONE,
+            title_of(injected.effect.name) if injected else MISSING_TEXT,
             effect_words(finding.effect) if finding else "not detected",
         ],
         ["where", *where],
@@ -339,8 +342,8 @@ def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[
     for name in dict.fromkeys([*true, *values]):
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
-        text = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
-        rows.append([f"{parameter_words(name)} [{unit}]" if unit else parameter_words(name), number(value), text])
+        text = with_sigma(estimate.value, estimate.sigma) if estimate else MISSING_TEXT
+        rows.append([f"{parameter_words(name)} [{unit}]" if unit else parameter_words(name), number_text(value), text])
     return rows
 
 
@@ -350,12 +353,15 @@ def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> li
         return []
     estimates, sightings, injected = {p.name: p.value for p in finding.parameters}, pair[1].sightings, applied.effect
     try:
-        shape = {s.name: estimates[s.name] for s in injected.shape if s.name in estimates}
-        effect = effect_from(
+        shape = {s.name: estimates[s.name] for s in injected.shape_parameters if s.name in estimates}
+        effect = make_effect(
             injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
         )
-        values = np.array([estimates.get(p.name, 0.0) * p.factor for p in injected.parameters])
-        true, fitted = injected.shift(sightings, applied.values), effect.shift(sightings, values)
+        values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
+        true, fitted = (
+            injected.reading_change(sightings, applied.parameter_values),
+            effect.reading_change(sightings, values),
+        )
     except LtsimError:
         return []
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
@@ -363,7 +369,7 @@ def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> li
     unit = OBSERVABLE_UNIT[observable]
     far = "distance" in injected.covariates
     at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
-    hid, got = (shift[rows, column] / FACTOR[unit] for shift in (true, fitted))
+    hid, got = (shift[rows, column] / SI_PER_UNIT[unit] for shift in (true, fitted))
     names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typeset(unit)}]"
     cause = f"{title_of(injected.name)} ({_place_of(injected)})"
     text = f"Change of the {observable} readings by {cause}: injected and estimated."

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.calibration.combinations import UNDETERMINED, Combination, DeterminedEntry
+from ltsim.calibration.combinations import UNDETERMINED_TABLE, DeterminedEntry, UndeterminedEntry
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import PLACES
+from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
-from ltsim.core.notation import NONE, number
+from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.results import Table, numbers, texts
 from ltsim.physics.model.construction import declared_construction
@@ -125,10 +125,10 @@ def scene(workshop: PlacedWorkshop) -> Scene | Note:
     return Scene("The workshop in 3D", webp_uri(picture), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[Combination], *, note: str = "") -> list[TableBlock]:
+def undetermined(title: str, entries: Sequence[UndeterminedEntry], *, note: str = "") -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
-    rows = [[entry.terms, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
-    return table_block(title, UNDETERMINED.filled(rows), note=note)
+    rows = [[entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
+    return table_block(title, UNDETERMINED_TABLE.filled(rows), note=note)
 
 
 def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
@@ -145,7 +145,7 @@ def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
     rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
     note = f"U: expanded uncertainty, k = 2. {note}"
-    return table_block("Targets", PLACES.filled(rows), note=note, folds=False)
+    return table_block("Targets", STATION_COORDINATES_TABLE.filled(rows), note=note, folds=False)
 
 
 def targets_in_words(sigma: Floats) -> str:
@@ -155,7 +155,7 @@ def targets_in_words(sigma: Floats) -> str:
     sizes = np.sort(np.sqrt((placed[:, : 2 if flat else 3] ** 2).sum(axis=1)))
     if not len(sizes):
         return ""
-    typical, worst = (number(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
+    typical, worst = (number_text(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
     where = "plan" if flat else "space"
     return f"Expanded uncertainty of a target in {where}: U = {typical} um (k = 2), {worst} um for the worst."
 
@@ -185,7 +185,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         answer = f"{_contents(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last)
     agrees, words = agreement(full.chi2, full.dof, full.p_value)
-    outliers = full.outliers()
+    outliers = full.flagged_readings()
     outlier_text = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
     facts += [
         Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
@@ -216,7 +216,7 @@ def _table(recording: Recording) -> list[TableBlock]:
     for s, name in enumerate(recording.stations):
         here = recording.station == s
         sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
-        begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else MISSING_TEXT
         rows.append([name, *map(int, sizes), int((~recording.measured[here]).sum()), begin])
     return table_block("Work of each station", WORK.filled(rows))
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, passes_words
+from ltsim.acceptance.files import AcceptanceFile, pass_probability_text
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
-from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS, EventEntry
+from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
 from ltsim.calibration.history import History
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.probability import format_p, p_text
-from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
+from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
@@ -35,13 +35,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Named = TypeVar("Named", ChangeEntry, EventEntry)
-LIKELY, NOTHING = 0.5, 1e-6
+LIKELY = 0.5
+NOTHING = 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
 )
 HIDDEN = "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
-MAX_BARS, MAX_TESTS = 40, 200
+MAX_BARS = 40
+MAX_TESTS = 200
 AGAINST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
@@ -76,7 +78,9 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
-    shown = DISPLACEMENTS.filled(d.row for d in points).only("target moved dx_um dy_um dz_um a_um visible_um p_value")
+    shown = DISPLACEMENTS_TABLE.filled(d.row for d in points).with_columns(
+        "target moved dx_um dy_um dz_um a_um visible_um p_value"
+    )
     table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
     facts = [
         Fact("points", str(len(points))),
@@ -115,7 +119,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     worst = content.worst_passing
     if worst is not None:
         constants = ", ".join(
-            f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+            f"{name} {number_text(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
         )
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(blind)}. " if blind else ""
@@ -126,7 +130,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         blocks.append(Note("Undetected instrument errors", text))
     facts = [
         Fact("tests", str(len(content.tests))),
-        Fact("probability to pass" if predicted else "passed", passes_words(content, content.passes), good),
+        Fact("probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good),
         Fact("plan", content.plan),
         *([Fact("limits", content.specification.name)] if content.specification.name else []),
     ]
@@ -138,7 +142,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
 def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     """Section of the uncertainties of tasks."""
     judged_results = [r for r in content.results if r.conformity is not None]
-    results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
+    results = content.table("results").with_columns(
+        "task result unit value U mc_low mc_high agrees judgement largest_source"
+    )
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
@@ -149,14 +155,13 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [r.words for r in judged_results if r.conformity and r.conformity.judgement == w]
+    by_word = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
-        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
-        or content.results[0].words
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or content.results[0].text
     )
     facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
-    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number(content.sigma0))]
+    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number_text(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
     return Section(
         title, "Uncertainty", sentence(answer), mood(not by_word["rejected"]), facts, blocks, axes=content.frame
@@ -180,7 +185,7 @@ def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
     answer = sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
-    proposals = content.table("proposals").only("do minutes sharper serves serves_factor")
+    proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
@@ -195,12 +200,12 @@ def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, usual = content.since_first, len(labels) > ENOUGH_STEPS
+    since, usual = content.since_first, len(labels) > MIN_STEPS_FOR_USUAL
     changed = bool(content.events) if usual else since.p_value < FAMILY_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    figure = partial(figures.parameters.history_figure, labels, content.determined)
-    course = [Picture("Course of the parameters", figure, text)] if content.determined else []
-    few = "no event can be detected" if len(labels) <= LEAST_STEPS else "only a gross event can be detected"
+    figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
+    course = [Picture("Course of the parameters", figure, text)] if content.determined_parameters else []
+    few = "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
     hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
     note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
     scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
 from ltsim.reports import figures
@@ -49,7 +49,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     blocks += undetermined("Not determined by this layout", content.undetermined)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
+    points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(BulletList("Bodies in the hall", content.bodies))
@@ -96,7 +96,7 @@ def _facts(content: Plan) -> list[Fact]:
             label, factor = QUALITY.get(name, (name, 1.0))
             other = content.reference.quality.get(name) if content.reference else None
             better = "plain" if other is None else mood(value <= other)
-            text = number(factor * value) + (f" (was {number(factor * other)})" if other else "")
+            text = number_text(factor * value) + (f" (was {number_text(factor * other)})" if other else "")
             facts.append(Fact(label, text, better))
     return facts
 
@@ -133,7 +133,7 @@ def _curve(content: Plan) -> list[Block]:
     ]
     curve = content.table("tradeoff")
     objective = "value_um" if any(curve.column("value_um")) else "value"
-    shown = curve.only(f"stations faces repeats pointings hours {objective} efficient")
+    shown = curve.with_columns(f"stations faces repeats pointings hours {objective} efficient")
     note = "A smaller objective is better."
     return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown, note=note)]
 

@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from ltsim.core.errors import SetupError
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -23,7 +23,7 @@ def builtin_path(name: str) -> Path:
     if name not in names:
         near = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or names
         message = "there is no such file, and no built-in scenario of this name"
-        raise SetupError(f"{shown(name)}: {message}; did you mean {', '.join(near)}?")
+        raise SetupError(f"{quoted_text(name)}: {message}; did you mean {', '.join(near)}?")
     return Path(str(files(__name__) / f"{name}.toml"))
 
 

@@ -10,11 +10,11 @@ import pytest
 
 import ltsim as lt
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
-from ltsim.adjustment.evaluation.bench import BENCH
+from ltsim.adjustment.evaluation.bench import BENCH_TABLE
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "docs" / "how-to" / "reflector.csv"
@@ -25,14 +25,14 @@ def written(path: Path, bench: BenchTest, seed: int) -> Path:
     record = measure_bench(bench, seed)
     lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
     rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
-    path.write_text(BENCH.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
+    path.write_text(BENCH_TABLE.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
     return path
 
 
 def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
     turns = np.arange(-30.0, 330.0, 7.5) * DEGREE
     bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
-    true = (np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]) / MICROMETRE
+    true = (np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]) / MICROMETRE
     found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
     error = np.array([row.error_um for row in found.angles]) - true
     sigma = np.array([row.sigma_um for row in found.angles])

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from ltsim.adjustment.evaluation import evaluate, read_nominal, verify
+from ltsim.adjustment.evaluation import evaluate_criteria, read_nominal, verify_against_nominal
 from ltsim.adjustment.evaluation.criteria import (
     coordinate_differences,
     distance_differences,
@@ -16,7 +16,7 @@ from ltsim.adjustment.evaluation.criteria import (
 )
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from tests.networks import share_removed
@@ -32,7 +32,7 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
     rows = [(s, t, f) for s in range(3) for t in range(6) for f in faces]
     station, target, face = np.array(rows).T
     local = np.array([from_rotation_vector(POSES[s][1]).T @ (TARGETS[t] - POSES[s][0]) for s, t, _ in rows])
-    readings = misalignment().readings(local, face, values)
+    readings = misalignment_construction().readings(local, face, values)
     readings += noise * rng.standard_normal(readings.shape)
     ones = np.ones(len(rows), dtype=np.int64)
     return Recording(
@@ -49,8 +49,8 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
 
 
 def parameters(**values: float) -> np.ndarray:
-    construction = misalignment()
-    vector = np.zeros(construction.size)
+    construction = misalignment_construction()
+    vector = np.zeros(construction.n_parameters)
     for name, value in values.items():
         vector[construction.index(name.replace("_", "-"))] = value
     return vector
@@ -80,7 +80,7 @@ def test_criteria_term_by_term() -> None:
 
 
 def test_a_perfect_tracker_has_no_differences_and_poses_do_not_matter() -> None:
-    criteria = evaluate(network(np.zeros(16)))
+    criteria = evaluate_criteria(network(np.zeros(16)))
     assert criteria.distance.before.max_um < 1e-6
     assert criteria.coordinate.before.max_um < 1e-7
     assert criteria.distance.after is None
@@ -89,7 +89,7 @@ def test_a_perfect_tracker_has_no_differences_and_poses_do_not_matter() -> None:
 
 def test_true_parameters_remove_everything_and_json_says_so() -> None:
     values = parameters(vertical_index=40e-6, transit_offset=60e-6, azimuth_second_order_cos=20e-6)
-    criteria = evaluate(network(values, faces=(1,)), misalignment(), values)
+    criteria = evaluate_criteria(network(values, faces=(1,)), misalignment_construction(), values)
     assert criteria.distance.before.mean_um > 5
     assert criteria.coordinate.before.mean_um > 5
     assert criteria.distance.improvement_percent == pytest.approx(100.0, abs=1e-4)
@@ -99,7 +99,7 @@ def test_true_parameters_remove_everything_and_json_says_so() -> None:
 
 
 def mean_of(recording: Recording) -> float:
-    mean = evaluate(recording).coordinate.before.mean_um
+    mean = evaluate_criteria(recording).coordinate.before.mean_um
     assert mean is not None
     return mean
 
@@ -113,14 +113,14 @@ def test_faces_are_averaged() -> None:
 def test_one_station_is_refused_in_a_sentence() -> None:
     recording = network(np.zeros(16))
     with pytest.raises(NetworkError, match="one station only"):
-        evaluate(recording.select(recording.station == 0))
+        evaluate_criteria(recording.select(recording.station == 0))
 
 
 def test_verification_against_nominal_points_in_another_frame() -> None:
     values = parameters(range_scale=50e-6, vertical_index=40e-6)
     turned = TARGETS @ from_rotation_vector(np.array([0.3, -0.2, 2.0])).T + [10.0, 20, 30]
     nominal = {f"T{t}": turned[t] for t in range(6)} | {"unused": np.zeros(3)}
-    criteria = verify(network(values, faces=(1,)), nominal, misalignment(), values)
+    criteria = verify_against_nominal(network(values, faces=(1,)), nominal, misalignment_construction(), values)
     # A scale of 50 ppm is an error of every distance, which only nominal lengths can show.
     assert criteria.distance.before.max_um > 100
     assert criteria.distance.after is not None
@@ -128,7 +128,7 @@ def test_verification_against_nominal_points_in_another_frame() -> None:
     assert criteria.distance.after.max_um < 1e-6
     assert criteria.coordinate.after.max_um < 1e-6
     with pytest.raises(NetworkError, match="at least three"):
-        verify(network(values), {"T1": np.zeros(3)})
+        verify_against_nominal(network(values), {"T1": np.zeros(3)})
 
 
 @pytest.mark.parametrize(
@@ -152,14 +152,14 @@ def test_nominal_files_that_are_wrong(tmp_path, text: str | None, message: str) 
 
 def test_share_of_the_correctable_error() -> None:
     values = parameters(transit_offset=60e-6, vertical_index=40e-6)
-    recording, construction = network(values, noise=1e-6, faces=(1,)), misalignment()
+    recording, construction = network(values, noise=1e-6, faces=(1,)), misalignment_construction()
     none = share_removed(recording, TARGETS, construction, calibrated=0 * values, true_parameters=values)
     full = share_removed(recording, TARGETS, construction, calibrated=values, true_parameters=values)
-    assert none.share == pytest.approx(0.0, abs=1e-6)
-    assert full.share == pytest.approx(1.0)
+    assert none.share_removed == pytest.approx(0.0, abs=1e-6)
+    assert full.share_removed == pytest.approx(1.0)
     half = share_removed(recording, TARGETS, construction, calibrated=values / 2, true_parameters=values)
-    assert 0.7 < half.share < 0.8  # three quarters of the mean square; a8a5717 said a half, of its root
-    assert half.raw > half.calibrated > half.true_parameters > 0
+    assert 0.7 < half.share_removed < 0.8  # three quarters of the mean square; a8a5717 said a half, of its root
+    assert half.raw_rms > half.calibrated_rms > half.true_parameters_rms > 0
 
 
 def test_memory_follows_what_is_seen_and_not_all_pairs() -> None:

@@ -15,8 +15,8 @@ import ltsim as lt
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck import Check, check
 from ltsim.adjustment.fieldcheck.check import best_bump
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face
-from ltsim.adjustment.fieldcheck.words import plain
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
+from ltsim.adjustment.fieldcheck.words import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
@@ -26,7 +26,7 @@ from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import exact_station_change
-from ltsim.physics.model.construction import misalignment, steering_mirror
+from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.setup import Instrument, Station
 from ltsim.reports.figures.points import check_figure
@@ -37,7 +37,7 @@ from tests.networks import drawn, network
 
 def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
     """Both faces of every target, face 1 first, in one mixed order from each station; a pointing every 10 s."""
-    errors = values * np.array([p.prior_sigma for p in misalignment().parameters])
+    errors = values * np.array([p.prior_sigma for p in misalignment_construction().parameters])
     recording, _ = network(faces=2, seed=seed, stations=stations, values=errors)
     mixed = stream(1, "order").permutation(len(recording.targets))
     order = np.lexsort((mixed[recording.target], recording.face, recording.station))
@@ -47,7 +47,7 @@ def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
 def moved(recording: Recording, station: int, time: float, motion: list[float]) -> Recording:
     """The recording with a station that stands elsewhere from a time on [m, rad]."""
     rows = recording.station == station
-    visit = StationOccupation.of(recording.select(rows), misalignment())
+    visit = StationOccupation.from_recording(recording.select(rows), misalignment_construction())
     after = recording.time[rows] >= time
     readings = recording.readings.copy()
     readings[rows] += exact_station_change(visit.sightings, after[:, None] * np.array(motion))
@@ -62,9 +62,9 @@ def test_a_tracker_within_its_guarantee_is_a_go() -> None:
     """Two-face differences of several times the noise are no fault where the maker guarantees no less."""
     found = check(visits(3, stations=2, values=0.7))
     assert found.passed, found.sentence
-    faces = found.arrays.setups[0].faces
+    faces = found.arrays.setups[0].two_face_differences
     assert faces is not None
-    assert np.sqrt(np.mean((faces.pairs.half / faces.noise) ** 2)) > 3
+    assert np.sqrt(np.mean((faces.uncorrected_pairs.half_differences / faces.half_difference_sigmas) ** 2)) > 3
     assert found.sentence == "go: 2 set-ups within noise and specification"
     assert {item.kind for item in found.items} >= {"two-face", "gross", "bump", "drift", "closure", "network"}
 
@@ -110,7 +110,7 @@ def test_a_gross_pointing_is_named_and_nothing_else() -> None:
 
 def test_creeping_is_called_drift() -> None:
     recording = visits(6, values=0.5)
-    visit = StationOccupation.of(recording, misalignment())
+    visit = StationOccupation.from_recording(recording, misalignment_construction())
     share = recording.time / recording.time.max()
     creep = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
     found = check(recording.with_readings(recording.readings + creep))
@@ -129,7 +129,10 @@ def test_creeping_is_called_drift() -> None:
 def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
     clean = visits(6, values=0.5)
     recording = clean.replace(time=clean.time * (36 * 60 / clean.time.max()))
-    visit, share = StationOccupation.of(recording, misalignment()), recording.time / recording.time.max()
+    visit, share = (
+        StationOccupation.from_recording(recording, misalignment_construction()),
+        recording.time / recording.time.max(),
+    )
     for millimetres in (0.05, 0.3, 2.0):
         sunk = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -1e-3 * millimetres, 0, 0, 0]))
         found = check(recording.with_readings(recording.readings + sunk))
@@ -143,7 +146,10 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     clean = visits(6, values=0.1, stations=3)
     rows = (clean.station == 0) & np.isin(clean.face, faces)
     share = clean.time[rows] / clean.time[rows].max()
-    sunk, visit = clean.readings.copy(), StationOccupation.of(clean.select(rows), misalignment())
+    sunk, visit = (
+        clean.readings.copy(),
+        StationOccupation.from_recording(clean.select(rows), misalignment_construction()),
+    )
     sunk[rows] += exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
     recording = clean.with_readings(sunk).select(np.isin(clean.face, faces))
     assert {kind for _, kind in kinds(check(recording))} == {"drift"}
@@ -164,7 +170,7 @@ def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed
     first = clean.select(rows)
     at = float(np.median(first.time))
     motion = (first.time > at)[:, None] * np.array([1e-3 * millimetres, 0, 0, 0, 0, 2e-5])
-    bumped, visit = clean.readings.copy(), StationOccupation.of(first, misalignment())
+    bumped, visit = clean.readings.copy(), StationOccupation.from_recording(first, misalignment_construction())
     bumped[rows] += exact_station_change(visit.sightings, motion)
     recording = clean.with_readings(bumped)
     found = check(recording)
@@ -278,7 +284,7 @@ def test_a_level_that_is_off_is_told_by_the_others() -> None:
 
 def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
     """Errors of a mirror that a source in the head cannot have are within its guarantee, and no scatter."""
-    mirror = steering_mirror()
+    mirror = steering_mirror_construction()
     recording, _ = network(faces=2, seed=5, stations=1, construction=mirror, values=drawn(mirror, 5))
     stated = Instrument(construction="steering-mirror")
     own = recording.replace(setup=recording.setup.model_copy(update={"instrument": stated}))
@@ -302,7 +308,7 @@ def test_the_whole_search_is_paid_for() -> None:
     """The best of all gaps on clean readings: its chance, gaps counted, is no smaller than it should be."""
     chances = []
     for seed in range(20):
-        visit = StationOccupation.of(visits(seed), misalignment())
+        visit = StationOccupation.from_recording(visits(seed), misalignment_construction())
         _, gain, gaps = best_bump(visit)
         chances.append(visit.p_value(gain) * gaps)
     assert np.mean(np.array(chances) < 0.1) <= 0.2
@@ -334,8 +340,8 @@ def test_surprise_far_out() -> None:
 
 
 def test_numbers_are_written_out() -> None:
-    assert [plain(v) for v in (2712.3, 0.04216, -104.9, 7.0)] == ["2710", "0.0422", "-105", "7"]
-    assert plain(-104.9, 2) == "-100"
+    assert [number_text(v) for v in (2712.3, 0.04216, -104.9, 7.0)] == ["2710", "0.0422", "-105", "7"]
+    assert number_text(-104.9, 2) == "-100"
 
 
 def test_limits_as_text() -> None:
@@ -409,10 +415,14 @@ def test_the_girder_epochs(shared: Path) -> None:
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(folder / "Polar_measurements_24Feb22.txt", hints=Hints(azimuth="clockwise"))
     found = check(recording)
-    whole = two_face(recording)
-    pairs = [setup.faces.pairs for setup in found.arrays.setups if setup.faces is not None]
+    whole = two_face_pairs(recording)
+    pairs = [
+        setup.two_face_differences.uncorrected_pairs
+        for setup in found.arrays.setups
+        if setup.two_face_differences is not None
+    ]
     assert sum(map(len, pairs)) == len(whole)
-    np.testing.assert_allclose(np.concatenate([p.half for p in pairs]), whole.half, atol=1e-12)
+    np.testing.assert_allclose(np.concatenate([p.half_differences for p in pairs]), whole.half_differences, atol=1e-12)
     gross = next(item for item in found.items if item.kind == "gross" and item.station == "Instrument_0")
     assert "K6" in gross.targets
     assert not found.passed

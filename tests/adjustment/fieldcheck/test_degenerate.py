@@ -11,8 +11,8 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.fieldcheck.occupation import face_pairs
-from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.fieldcheck.occupation import face_pair_rows
+from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
@@ -29,8 +29,8 @@ Break = Callable[[Recording, Points, np.random.Generator], Recording]
 def seen(recording: Recording, points: Points, seed: int) -> Recording:
     """The workshop's pointings to targets in other places, with its stated noise."""
     _, state = workshop()
-    arm = points[recording.target] - state.position[recording.station]
-    readings = to_polar(np.einsum("nji,nj->ni", state.rotation[recording.station], arm))
+    arm = points[recording.target] - state.station_positions[recording.station]
+    readings = to_polar(np.einsum("nji,nj->ni", state.station_rotations[recording.station], arm))
     noise = stream(seed, "degenerate").standard_normal(readings.shape) * recording.sigma()
     return recording.with_readings(readings + noise)
 
@@ -88,16 +88,16 @@ def words(verb: Callable[[Recording], object], recording: Recording) -> str:
 def agreed(way: Break, seed: int) -> str:
     """The sentence of all verbs about a network that is degenerate in one way."""
     recording, state = workshop()
-    broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
+    broken = way(seen(recording, state.target_points, seed), state.target_points, stream(seed, way.__name__))
     said = words(lt.adjust, broken)
     if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
-        (doubt,) = warnings_of(lt.adjust(broken).adjustment)
+        (doubt,) = adjustment_warnings(lt.adjust(broken).adjustment)
         assert way is on_a_line
         assert "hardly determine its pose" in doubt
-        assert "hardly determine its pose" in calibrate_network(broken, advise=False).verdict.sentence
+        assert "hardly determine its pose" in calibrate_network(broken, recommend_measurements=False).verdict.sentence
         assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
         return doubt
-    assert words(lambda r: calibrate_network(r, advise=False), broken) == said
+    assert words(lambda r: calibrate_network(r, recommend_measurements=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
         assert "clockwise" in str(lt.diagnose(broken))
     else:
@@ -119,14 +119,14 @@ def test_all_verbs_say_the_same_of_a_degenerate_network(way: Break, seed: int) -
 def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(seed: int, noise: float) -> None:
     """No error of the instrument is at work: the same sigma0, and no-go where it is rarer than the level allows."""
     recording, state = workshop()
-    exact = recording.with_readings(seen(recording, state.points, seed).readings)
+    exact = recording.with_readings(seen(recording, state.target_points, seed).readings)
     exact = exact.select((exact.station < 3) & (exact.target < 9))
     extra = stream(seed, "larger").standard_normal(exact.readings.shape) * exact.sigma() * np.sqrt(noise**2 - 1.0)
     noisy = exact.with_readings(exact.readings + extra)
     adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
     (item,) = (item for item in found.items if item.kind == "network")
     assert found.passed == item.passed
-    if lt.adjust(noisy, robust=True).adjustment.rejected.any():
+    if lt.adjust(noisy, robust=True).adjustment.is_rejected.any():
         assert "contradicts the other stations" in item.sentence
         return
     assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_LEVEL / 4)
@@ -141,7 +141,7 @@ def along_axes(recording: Recording, points: Points, away: float, stations: tupl
     _, state = workshop()
     moved = points.copy()
     for target, station in enumerate(stations, start=3):
-        moved[target] = state.position[station] + state.rotation[station] @ [0.0, 0.0, away]
+        moved[target] = state.station_positions[station] + state.station_rotations[station] @ [0.0, 0.0, away]
     return seen(recording, moved, 0)
 
 
@@ -169,14 +169,14 @@ AXES = {
 
 def network(adjustment: Adjustment) -> str:
     """Fit and targets of an adjusted network; criteria compare points of pointings, those along the axis included."""
-    points = np.round(1e6 * adjustment.state.points, 1).tolist()
-    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.rejected.sum()} {points}"
+    points = np.round(1e6 * adjustment.state.target_points, 1).tolist()
+    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.is_rejected.sum()} {points}"
 
 
 VERBS = {
     "adjust": lambda r: network(lt.adjust(r).adjustment),
     "check": lambda r: str(check(r)),
-    "calibrate": lambda r: network(calibrate_network(r, advise=False).adjustment),
+    "calibrate": lambda r: network(calibrate_network(r, recommend_measurements=False).adjustment),
     "diagnose": lambda r: str(lt.diagnose(r)),
 }
 """Results by verb."""
@@ -186,14 +186,14 @@ VERBS = {
 @pytest.mark.parametrize("verb", family(VERBS, 2))
 def test_the_angles_along_the_vertical_axis_are_used_by_no_verb(verb: str, way: str) -> None:
     recording, state = workshop()
-    vertical = AXES[way](recording, state.points)
+    vertical = AXES[way](recording, state.target_points)
     assert vertical.vertical.any()
     assert VERBS[verb](vertical) == VERBS[verb](without_angles(vertical))
 
 
 def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_up() -> None:
     recording, state = workshop()
-    once = along_axes(recording, state.points, 2.0, (1,)).select(recording.station == 1)
+    once = along_axes(recording, state.target_points, 2.0, (1,)).select(recording.station == 1)
     twice = once.select(np.tile(np.arange(len(once)), 2))
     face, count = np.repeat([1, 2], len(once)), len(twice)
     noise = stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.usable, twice.sigma(), 1e-6)
@@ -202,14 +202,14 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     turned = np.where(twice.vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
     assert twice.vertical.sum() == 2 and check(twice).passed
     assert str(check(twice.with_readings(turned))) == str(check(twice))
-    assert len(face_pairs(twice)) == len(once) - 1
+    assert len(face_pair_rows(twice)) == len(once) - 1
 
 
 def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_note_names_the_row(
     tmp_path: Path,
 ) -> None:
     recording, state = workshop()
-    once = AXES["zenith"](recording, state.points)
+    once = AXES["zenith"](recording, state.target_points)
     once = once.select((once.target != 3) | (once.station == 1))
     lt.write(once, tmp_path / "once")
     back = lt.read(tmp_path / "once")
@@ -223,7 +223,7 @@ def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_
 def test_a_slip_of_a_metre_in_a_small_network_is_named_and_does_not_make_it_singular(seed: int) -> None:
     """29 pointings determine everything: one that is 1.02 m too long or too high is told, and nothing is refused."""
     recording, state = workshop()
-    whole, rng = seen(recording, state.points, 1), stream(seed, "slip")
+    whole, rng = seen(recording, state.target_points, 1), stream(seed, "slip")
     few = whole.select((whole.station < 3) & np.isin(whole.target, rng.choice(28, 10, replace=False)))
     few = few.select(np.arange(min(len(few), 29)))
     readings, row = few.readings.copy(), int(rng.integers(len(few)))

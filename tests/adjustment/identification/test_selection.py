@@ -11,22 +11,28 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import Network, Selection, outcomes, select
-from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
-from ltsim.adjustment.identification.fit import Fit, changed_recording
-from ltsim.adjustment.identification.library import candidates
-from ltsim.adjustment.identification.screen import _distances_aside
-from ltsim.adjustment.identification.selection import _at_best_moment
-from ltsim.adjustment.identification.tests import usual_radius
+from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, select_causes
+from ltsim.adjustment.identification.evidence import (
+    LOG_SIZE_PRIOR_WIDTH,
+    estimate_variance_factor,
+    log_occam_factor_of_shift,
+    log_occam_factor_of_variance,
+)
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.library import shift_candidates
+from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
+from ltsim.adjustment.identification.screen import _distance_trial_hypotheses
+from ltsim.adjustment.identification.selection import _refine_motion_time
+from ltsim.adjustment.identification.tests import usual_smr_text
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import robust_state
+from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import robust_align
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.alignment import align_robustly
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import declared_construction, misalignment
+from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
@@ -40,7 +46,7 @@ CONTROL = ("T01", "T06", "T12", "T24")
 def hall() -> tuple[Recording, Truth]:
     """Four stations, both faces, four control points, a gauge; a pointing every 10 s."""
     recording, truth = network(faces=2, seed=3, stations=4)
-    points = dict(zip(recording.targets, truth.state.points, strict=True))
+    points = dict(zip(recording.targets, truth.state.target_points, strict=True))
     known = {name: Target(known_mm=tuple((1e3 * points[name]).tolist()), known_sigma_mm=0.01) for name in CONTROL}
     setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **known}})
     order = np.argsort(recording.station, kind="stable")
@@ -48,8 +54,8 @@ def hall() -> tuple[Recording, Truth]:
     return clocked, truth
 
 
-def identified(recording: Recording) -> Selection:
-    return select(Network(recording, misalignment()))
+def identified(recording: Recording) -> CauseSelection:
+    return select_causes(FitInput(recording, misalignment_construction()))
 
 
 def shifted(recording: Recording, rows: Floats, column: int, size: float) -> Recording:
@@ -58,16 +64,16 @@ def shifted(recording: Recording, rows: Floats, column: int, size: float) -> Rec
     return recording.with_readings(readings)
 
 
-def the_one(selection: Selection) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    (choice,) = selection.choices
+def the_one(selection: CauseSelection) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    (choice,) = selection.selected_hypotheses
     return choice.hypothesis.kind, choice.hypothesis.stations, choice.hypothesis.targets
 
 
 def test_nothing_is_identified_in_a_clean_hall() -> None:
     selection = identified(hall()[0])
-    assert selection.choices == ()
-    assert selection.fit.outliers.sum() <= 1
-    assert not selection.leads
+    assert selection.selected_hypotheses == ()
+    assert selection.fit.is_outlier.sum() <= 1
+    assert not selection.requires_initial_causes
 
 
 @pytest.mark.parametrize("size", family([2e-4, 12.7e-3, 0.4], 2))
@@ -76,11 +82,11 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     wrong = shifted(recording, recording.target == 7, 0, size)
     selection = identified(wrong)
     assert the_one(selection) == ("constant-offset", (), ("T08",))
-    (test,) = [t for t in outcomes(selection) if t.accepted and t.kind != "outlier"]
+    (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
     assert test.unit == "mm"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.05)
     assert ("0.5 inch" in test.sentence) == (size == 12.7e-3)
-    assert np.allclose(selection.fit.state.points, truth.state.points, atol=1e-4)
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", family([2e-4, 17.5e-3, 0.3]))
@@ -106,7 +112,7 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     selection = identified(wrong)
     assert the_one(selection) == ("reference-value", (), ("T12",))
-    assert np.allclose(selection.fit.state.points, truth.state.points, atol=2e-4)
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=2e-4)
 
 
 @pytest.mark.parametrize("size", family([3e-4, 0.02]))
@@ -118,7 +124,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     change = exact_station_change(sightings_of(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-bump", ("S2",), ())
-    (test,) = [t for t in outcomes(selection) if t.kind == "station-bump"]
+    (test,) = [t for t in cause_tests(selection) if t.kind == "station-bump"]
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
     middle = len(rows) // 2
     assert f"between rows {rows[middle - 1] + 1} and {rows[middle] + 1}" in test.sentence
@@ -131,14 +137,18 @@ def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None
     times = np.unique(recording.time[recording.station == 2])
     between = 0.5 * (times[1:] + times[:-1])
     bump = StationBump((recording.stations[2],), time=float(between[len(between) // 2]))
-    change = bump.shift(adjust(recording).sightings, np.array([0.02, -0.01, 0.006, 0.0, 0.0, 0.0]))
-    right = select(Network(recording.with_readings(recording.readings + change), declared_construction(recording))).fit
+    change = bump.reading_change(adjust(recording).sightings, np.array([0.02, -0.01, 0.006, 0.0, 0.0, 0.0]))
+    right = select_causes(
+        FitInput(recording.with_readings(recording.readings + change), declared_construction(recording))
+    ).fit
     (hypothesis,) = right.hypotheses
-    elsewhere = bump.reshaped(time=float(between[len(between) // 2 + gaps]))
-    wrong = Fit.of(right.network, (replace(hypothesis, change=replace(hypothesis.change, effect=elsewhere)),))
+    elsewhere = bump.with_constants(time=float(between[len(between) // 2 + gaps]))
+    wrong = NetworkFit.from_start(
+        right.network, (replace(hypothesis, model_change=replace(hypothesis.model_change, effect=elsewhere)),)
+    )
     assert wrong is not None and wrong.log_evidence < right.log_evidence - 100.0
-    corrected = _at_best_moment(wrong)
-    assert corrected.hypotheses[0].change.effect.time == bump.time
+    corrected = _refine_motion_time(wrong)
+    assert corrected.hypotheses[0].model_change.effect.time == bump.time
     assert corrected.log_evidence == pytest.approx(right.log_evidence, abs=1e-3)
 
 
@@ -168,7 +178,8 @@ def test_exchanged_names_are_put_right() -> None:
     selection = identified(recording.replace(target=target))
     assert the_one(selection) == ("names", ("S4",), ("T03", "T10"))
     assert np.array_equal(
-        changed_recording(recording.replace(target=target), selection.fit.hypotheses).target, recording.target
+        apply_corrections_and_omissions(recording.replace(target=target), selection.fit.hypotheses).target,
+        recording.target,
     )
 
 
@@ -176,8 +187,8 @@ def test_exchanged_names_are_put_right() -> None:
 def test_one_bad_reading_is_an_outlier_and_no_cause(size: float) -> None:
     recording, _ = hall()
     selection = identified(shifted(recording, 40, 0, size))
-    assert selection.choices == ()
-    (test,) = [t for t in outcomes(selection) if 41 in t.rows]
+    assert selection.selected_hypotheses == ()
+    (test,) = [t for t in cause_tests(selection) if 41 in t.rows]
     assert test.kind == "outlier"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
 
@@ -191,32 +202,32 @@ def test_noise_other_than_declared(factor: float) -> None:
     instrument = recording.setup.instrument.model_copy(update={"noise": other})
     selection = identified(recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument})))
     assert the_one(selection) == ("noise-level", (), ())
-    (test,) = [t for t in outcomes(selection) if t.kind == "noise-level"]
+    (test,) = [t for t in cause_tests(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
-    assert not selection.leads
+    assert not selection.requires_initial_causes
 
 
 def test_distances_are_put_aside_at_places_that_stand_out_alone() -> None:
     recording, _ = hall()
-    fit = Fit.of(Network(recording, misalignment()))
+    fit = NetworkFit.from_start(FitInput(recording, misalignment_construction()))
     assert fit is not None
-    every = candidates(fit.adjustment.sightings)
+    every = shift_candidates(fit.adjustment.sightings)
     for gross, stations in ((recording.station == 1, {1}), (recording.station < 3, set[int]())):
         tried: list[Ints] = []
         marked = SimpleNamespace(
-            outliers=np.repeat(gross[:, None], 3, axis=1),
-            is_gross=np.ones((len(recording), 3), dtype=bool),
-            whole=fit.whole,
+            is_outlier=np.repeat(gross[:, None], 3, axis=1),
+            is_gross_reading=np.ones((len(recording), 3), dtype=bool),
+            problem_with_all_readings=fit.problem_with_all_readings,
             without_distances=tried.append,
         )
-        assert _distances_aside(marked, every) == []  # type: ignore[arg-type]
+        assert _distance_trial_hypotheses(marked, every) == []  # type: ignore[arg-type]
         assert {int(s) for rows in tried for s in recording.station[rows]} == stations
 
 
 def test_two_causes_at_once() -> None:
     recording, _ = hall()
     wrong = shifted(shifted(recording, recording.target == 7, 0, 12.7e-3), recording.station == 2, 0, 2e-3)
-    found = {(c.hypothesis.stations, c.hypothesis.targets) for c in identified(wrong).choices}
+    found = {(c.hypothesis.stations, c.hypothesis.targets) for c in identified(wrong).selected_hypotheses}
     assert found == {((), ("T08",)), (("S3",), ())}
 
 
@@ -231,48 +242,54 @@ def test_verbs_say_the_same_of_one_cause() -> None:
     assert not checked.passed
     assert checked.sentence.startswith("no-go: The distances to T08")
     assert "T08" in (adjusted.verdict.sentence if adjusted.verdict else "")
-    for points in (adjusted.points, calibrated.points, diagnosed.targets.points):
-        assert np.allclose(points, truth.state.points, atol=2e-4)
+    for points in (adjusted.target_points, calibrated.target_points, diagnosed.targets.points):
+        assert np.allclose(points, truth.state.target_points, atol=2e-4)
 
 
 def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> None:
     recording, truth = hall()
-    wrong = identified(recording).fit.whole
-    control = wrong.control
-    points = control.points.copy()
+    wrong = identified(recording).fit.problem_with_all_readings
+    control = wrong.control_rows
+    points = control.declared_points.copy()
     points[1] += 5.0
-    bent = replace(wrong, control=replace(control, points=points))
+    bent = replace(wrong, control_rows=replace(control, declared_points=points))
     positions, rotations, targets = initial_network(recording)[0]
-    start = replace(truth.state, position=positions, rotation=rotations, points=targets, instrument=np.zeros((1, 16)))
-    state, _ = robust_state(bent, start)
-    assert np.allclose(state.points, truth.state.points, atol=2e-4)
+    start = replace(
+        truth.state,
+        station_positions=positions,
+        station_rotations=rotations,
+        target_points=targets,
+        instrument_parameters=np.zeros((1, 16)),
+    )
+    state, _ = fit_robust_state(bent, start)
+    assert np.allclose(state.target_points, truth.state.target_points, atol=2e-4)
 
 
 def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> None:
     source = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 1.0], [5.0, 7.0, 0.0], [0.0, 6.0, 3.0]])
-    turn, shift = about_z(0.7), np.array([1.0, -2.0, 0.3])
+    turn, shift = rotation_about_z(0.7), np.array([1.0, -2.0, 0.3])
     goal = source @ turn.T + shift
     for off in (0.01, 1.0, 100.0):
         wrong = goal.copy()
         wrong[2, 0] += off
-        rotation, translation = robust_align(source, wrong)
+        rotation, translation = align_robustly(source, wrong)
         assert np.abs(source @ rotation.T + translation - goal).max() < 0.02 * off
 
 
 def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
     w, sizes = 9.0, np.geomspace(1e-3, 1e3, 400_001)
     likelihood = np.exp(-0.5 * (w - sizes) ** 2) + np.exp(-0.5 * (w + sizes) ** 2)
-    integral = np.trapezoid(0.5 * likelihood, np.log(sizes)) / np.exp(LOG_RANGE)
-    assert float(occam(w, 1)) == pytest.approx(np.log(integral), abs=0.02)
+    integral = np.trapezoid(0.5 * likelihood, np.log(sizes)) / np.exp(LOG_SIZE_PRIOR_WIDTH)
+    assert float(log_occam_factor_of_shift(w, 1)) == pytest.approx(np.log(integral), abs=0.02)
 
 
 def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
     draw = stream(5, "noise").normal(size=(200, 300)) * 2.0
     squares = np.sum(draw**2, axis=1)
-    factor, gain = variance_factor(squares, np.full(200, 300.0))
+    factor, gain = estimate_variance_factor(squares, np.full(200, 300.0))
     assert np.mean(factor) == pytest.approx(2.0, rel=0.01)
-    assert np.all(gain + occam_of_variance(300.0) > 50.0)
-    quiet, nothing = variance_factor(np.array([300.0]), np.array([300.0]))
+    assert np.all(gain + log_occam_factor_of_variance(300.0) > 50.0)
+    quiet, nothing = estimate_variance_factor(np.array([300.0]), np.array([300.0]))
     assert quiet == pytest.approx(1.0)
     assert nothing == pytest.approx(0.0)
 
@@ -286,8 +303,8 @@ SMRS = [
 
 @pytest.mark.parametrize(("size", "sentence"), SMRS)
 def test_the_sign_says_which_smr_was_used(size: float, sentence: str) -> None:
-    assert usual_radius(1e-3 * size + 1e-5, 1e-5) == sentence
-    assert usual_radius(1e-3 * size + 1e-4, 1e-5) == usual_radius(1e-3 * size, 1e-4) == ""
+    assert usual_smr_text(1e-3 * size + 1e-5, 1e-5) == sentence
+    assert usual_smr_text(1e-3 * size + 1e-4, 1e-5) == usual_smr_text(1e-3 * size, 1e-4) == ""
 
 
 @pytest.mark.long
@@ -296,7 +313,7 @@ def test_another_smr_at_a_station_comes_before_the_noise_that_it_leaves(size: fl
     """Nests are declared on a floor plan: what the rest of its tilt makes of so large an offset scatters."""
     effect = {"name": "smr-offset", "stations": ["S4"], "values": {"radius-difference": size}}
     recording, _ = lt.simulate("paper-workshop-two-face", seed=21, changes={"effects": [effect]})
-    first, *others = outcomes(identified(recording))
+    first, *others = cause_tests(identified(recording))
     assert (first.kind, first.where.stations) == ("reflector-radius", ("S4",))
     assert first.estimate == pytest.approx(size, abs=0.05)
     assert sentence in first.sentence

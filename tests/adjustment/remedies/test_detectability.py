@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.reliability import noncentrality, single_level
+from ltsim.adjustment.reliability import level_of_single_test, noncentrality
 from ltsim.adjustment.remedies.detectability import (
-    detectability,
-    examine,
+    catalogue_detectability,
+    detectability_at_places,
     explained_fraction,
     search_noncentrality,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import GLOBAL_LEVEL, POWER
+from ltsim.adjustment.significance import GLOBAL_LEVEL, TEST_POWER
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
@@ -22,19 +22,19 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.range_step import RangeStep
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.transit_offset import TransitOffset
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 
-INFORMATION = LayoutInformation.of(survey())
-SPACE = ResidualSpace.of(INFORMATION.adjustment)
+INFORMATION = LayoutInformation.from_survey(survey())
+SPACE = ResidualSpace.from_adjustment(INFORMATION.adjustment)
 
-SINGLE = single_level(len(CATALOGUE) - len(BASELINE) + 1, GLOBAL_LEVEL)
+SINGLE = level_of_single_test(len(CATALOGUE) - len(BASELINE) + 1, GLOBAL_LEVEL)
 """Level of one effect at one place in a search."""
 
 
 def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
-    assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(POWER)) ** 2, rel=1e-3)
+    assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(TEST_POWER)) ** 2, rel=1e-3)
     assert noncentrality(1) == pytest.approx(17.07, abs=0.01)
     assert [noncentrality(q) for q in (1, 2, 6)] == sorted(noncentrality(q) for q in (1, 2, 6))
     searched = [noncentrality(1, hypotheses=n) for n in (1, 10, 1000)]
@@ -43,26 +43,26 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
 
 @pytest.mark.parametrize("effect", [StationWeather(stations=("S2",)), RangeStep(stations=("S4",))])
 def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) -> None:  # type: ignore[no-untyped-def]
-    seen = examine(SPACE, [effect])
+    seen = detectability_at_places(SPACE, [effect])
     assert seen is not None
-    rows = SPACE.signature(effect)
-    trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.sizes[0][:, None]
-    fitted = seen.columns[0].T @ SPACE.project(trials)
-    found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.columns[0].shape[1])
-    assert found.mean() == pytest.approx(POWER, abs=0.02)
+    rows = SPACE.whitened_signature(effect)
+    trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_sizes[0][:, None]
+    fitted = seen.projected_basis[0].T @ SPACE.project(trials)
+    found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.projected_basis[0].shape[1])
+    assert found.mean() == pytest.approx(TEST_POWER, abs=0.02)
 
 
 def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> None:
     """Score test of a variance factor, simulated: its statistic is normal only nearly, hence the wide band."""
     effect = NoiseLevel.candidates(INFORMATION.adjustment.sightings)[0]
-    seen = examine(SPACE, [effect])
+    seen = detectability_at_places(SPACE, [effect])
     assert seen is not None
     problem = INFORMATION.adjustment.problem
     size = np.zeros(len(effect.parameters))
-    size[0] = seen.sizes[0][0]
+    size[0] = seen.minimal_sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
-    factor = np.ones(SPACE.size)
-    factor[: int(problem.use.sum())] = (variance / problem.sigma**2)[problem.use]
+    factor = np.ones(SPACE.n_rows)
+    factor[: int(problem.used_readings.sum())] = (variance / problem.sigma**2)[problem.used_readings]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):
@@ -75,14 +75,14 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
 
 def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
     """Two faces, joint: 3-sigma amplitudes of a like network; minimal sizes are 4.13 sigma."""
-    found = detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
+    found = catalogue_detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
     sightings = INFORMATION.adjustment.sightings
     needed = {
         "transit-offset": noncentrality(1),
         "station-weather": search_noncentrality(1, len(StationWeather.candidates(sightings))),
         "range-step": search_noncentrality(1, len(RangeStep.candidates(sightings))),
     }
-    size = {row.parameter: 3 / np.sqrt(needed[row.parameter]) * row.typical for row in found.table()}
+    size = {row.parameter: 3 / np.sqrt(needed[row.parameter]) * row.median_size for row in found.table()}
     assert size["transit-offset"] == pytest.approx(0.8e-6, rel=0.25)
     assert size["station-weather"] == pytest.approx(0.82e-6, rel=0.25)
     assert size["range-step"] == pytest.approx(3.8e-6, rel=0.25)
@@ -90,12 +90,15 @@ def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
 
 def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     """Sag and the cosine of the elevation circle are one for upright stations."""
-    sag = examine(SPACE, [HeadSag()])
+    sag = detectability_at_places(SPACE, [HeadSag()])
     assert sag is not None
-    assert sag.visible[0] < 1e-3
-    others = misalignment(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
-    space = ResidualSpace.of(LayoutInformation.of(survey(), others).adjustment)
-    first, second = examine(space, [HeadSag()]), examine(space, [ElevationEccentricity()])
+    assert sag.visible_fractions[0] < 1e-3
+    others = misalignment_construction(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
+    space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(survey(), others).adjustment)
+    first, second = (
+        detectability_at_places(space, [HeadSag()]),
+        detectability_at_places(space, [ElevationEccentricity()]),
+    )
     assert first is not None
     assert second is not None
     assert explained_fraction(first, second) > 0.999
@@ -103,12 +106,12 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
 
 def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
     sightings = INFORMATION.adjustment.sightings
-    weather = examine(SPACE, StationWeather.candidates(sightings))
-    step = examine(SPACE, [RangeStep(stations=("S1",))])
+    weather = detectability_at_places(SPACE, StationWeather.candidates(sightings))
+    step = detectability_at_places(SPACE, [RangeStep(stations=("S1",))])
     assert weather is not None
     assert step is not None
     assert explained_fraction(weather, weather) == pytest.approx(1.0, abs=1e-9)
     assert 0.5 < explained_fraction(step, weather) < 1.0
-    found = detectability(INFORMATION.adjustment, [StationWeather, HeadSag])
-    assert found.names == tuple(s.name for s in found.effects if any(c.size for c in s.columns))
-    assert all(share > 0.9 for _, _, share in found.confusable())
+    found = catalogue_detectability(INFORMATION.adjustment, [StationWeather, HeadSag])
+    assert found.detectable_effects == tuple(s.name for s in found.effects if any(c.size for c in s.projected_basis))
+    assert all(share > 0.9 for _, _, share in found.confusable_pairs())

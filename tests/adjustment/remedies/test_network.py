@@ -10,49 +10,52 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.network import Network
-from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.adjustment.remedies.network import PlannedNetwork
+from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.adjustment.remedies.remedy import (
-    ADVICE,
-    calibrated_length,
-    further_pointings,
-    near_reflectors,
-    other_ways,
-    returns,
+    ADVICE_SENTENCES,
+    calibrated_length_remedy,
+    near_reflector_remedies,
+    pointing_remedies,
+    procedure_remedies,
+    return_remedies,
 )
 from ltsim.calibration.network import calibrate_network
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
-def measured() -> Network:
-    recording, _ = network(values=drawn(misalignment(), 1), seed=1, stations=3)
-    return Network.of(adjust(recording, misalignment()))
+def measured() -> PlannedNetwork:
+    recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, stations=3)
+    return PlannedNetwork.from_adjustment(adjust(recording, misalignment_construction()))
 
 
-def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) -> None:
+def test_a_planned_network_knows_what_a_measured_one_knows(measured: PlannedNetwork) -> None:
     """Everything once more in the same order, planned and then solved with its predicted readings."""
     recording = measured.recording
     twice = measured.with_pointings(recording.station, recording.target, recording.face)
     assert len(twice.recording) == 2 * len(recording)
-    again = adjust(twice.recording, misalignment()).instrument_covariance
+    again = adjust(twice.recording, misalignment_construction()).instrument_covariance
     assert twice.adjustment.instrument_covariance == pytest.approx(again, rel=1e-3)
     assert twice.recording.time[len(recording) :].min() > recording.time.max()
 
 
-def test_a_longer_network_never_knows_less(measured: Network) -> None:
+def test_a_longer_network_never_knows_less(measured: PlannedNetwork) -> None:
     before = measured.adjustment.instrument_covariance
     for remedy in [
-        *other_ways(measured), *calibrated_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+        *procedure_remedies(measured),
+        *calibrated_length_remedy(measured),
+        *return_remedies(measured, 1200.0),
+        *near_reflector_remedies(measured)
     ]:  # fmt: skip
         after = remedy.network.adjustment.instrument_covariance
         scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
-        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, remedy.words
+        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, remedy.instruction
 
 
-def test_a_length_that_is_known_is_not_calibrated_again(measured: Network) -> None:
+def test_a_length_that_is_known_is_not_calibrated_again(measured: PlannedNetwork) -> None:
     assert measured.with_length(24, 25, 0.002) is measured
     grown = measured.with_length(0, 25, 0.002)
     assert len(grown.recording.gauge.distance) == len(measured.recording.gauge.distance) + 1
@@ -69,30 +72,34 @@ def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
     assert any("no tested measurement" in c.cure for c in calibrate_network(first).undetermined)
 
 
-def test_every_way_of_measuring_on_has_its_sentence(measured: Network) -> None:
+def test_every_way_of_measuring_on_has_its_sentence(measured: PlannedNetwork) -> None:
     """Each further measurement that is tried here is told by a sentence of the table, its blanks filled."""
     blank = re.compile(r"\\\{[^}]*\\\}")
-    patterns = {key: blank.sub("(.+)", re.escape(text)) for key, text in ADVICE.items()}
+    patterns = {key: blank.sub("(.+)", re.escape(text)) for key, text in ADVICE_SENTENCES.items()}
     tried = [
-        *other_ways(measured), *calibrated_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+        *procedure_remedies(measured),
+        *calibrated_length_remedy(measured),
+        *return_remedies(measured, 1200.0),
+        *near_reflector_remedies(measured)
     ]  # fmt: skip
     said = {
-        remedy.words: {key for key, text in patterns.items() if re.fullmatch(text, remedy.words)} for remedy in tried
+        remedy.instruction: {key for key, text in patterns.items() if re.fullmatch(text, remedy.instruction)}
+        for remedy in tried
     }
     assert all(len(keys) == 1 for keys in said.values()), said
     assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*said.values())
 
 
-def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: Network) -> None:
+def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetwork) -> None:
     """A target that the last station has not measured because it stands over it is no remedy; another one is."""
     recording = measured.recording
     last = int(recording.station[np.argmax(recording.time)])
     kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
-    network = Network.of(adjust(kept, misalignment()))
-    points, position = network.state.points.copy(), network.state.position
+    network = PlannedNetwork.from_adjustment(adjust(kept, misalignment_construction()))
+    points, position = network.state.target_points.copy(), network.state.station_positions
     points[kept.targets.index(recording.targets[3])] = position[last]
-    over = replace(network, state=replace(network.state, points=points))
-    words = [remedy.words for remedy in further_pointings(over) if "has not measured" in remedy.words]
+    over = replace(network, state=replace(network.state, target_points=points))
+    words = [remedy.instruction for remedy in pointing_remedies(over) if "has not measured" in remedy.instruction]
     assert len(words) == 1
     assert f"({recording.targets[4]})" in words[0]
 
@@ -113,11 +120,13 @@ def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_rem
     file = tmp_path / "traverse.gkf"
     file.write_text("\n".join([head, *lines, "</points-observations></network></gama-local>"]))
     found = adjust(read(file))
-    network = Network.of(found)
+    network = PlannedNetwork.from_adjustment(found)
     before = len(network.recording)
-    remedies = [*further_pointings(network), *returns(network, 60.0)]
+    remedies = [*pointing_remedies(network), *return_remedies(network, 60.0)]
     assert all(remedy.network.recording.is_horizontal[before:].all() for remedy in remedies)
-    determined = {remedy.words.split(",")[0]: remedy.is_determined for remedy in remedies if remedy.kind == "return"}
+    determined = {
+        remedy.instruction.split(",")[0]: remedy.is_determined for remedy in remedies if remedy.kind == "return"
+    }
     assert determined == {f"set up once more at {name}": name in "BC" for name in "ABCD"}
     assert all(remedy.is_determined for remedy in remedies if remedy.kind == "pointings")
-    assert next_measurement(file).proposals
+    assert rank_next_measurements(file).proposals

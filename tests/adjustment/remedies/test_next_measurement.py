@@ -9,21 +9,27 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.network import Network
-from ltsim.adjustment.remedies.next_measurement import Rivals, deciding, explanation, next_measurement, space_of
+from ltsim.adjustment.remedies.network import PlannedNetwork
+from ltsim.adjustment.remedies.next_measurement import (
+    RivalExplanations,
+    best_explanation,
+    rank_deciding_measurements,
+    rank_next_measurements,
+    residual_space_of,
+)
 from ltsim.adjustment.remedies.remedy import (
     FloorPlan,
-    further_pointings,
-    further_stations,
-    near_reflectors,
-    other_ways,
-    returns,
+    near_reflector_remedies,
+    pointing_remedies,
+    procedure_remedies,
+    return_remedies,
+    station_remedies,
 )
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.objective import d_criterion
 from ltsim.recordings import Recording, write
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -44,28 +50,30 @@ def drifting() -> tuple[Recording, Truth]:
 
 
 def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: tuple[Recording, Truth]) -> None:
-    made = next_measurement(drifting[0])
-    sharper = [p.sharper for p in made.proposals]
+    made = rank_next_measurements(drifting[0])
+    sharper = [p.sigma_ratio for p in made.proposals]
     assert sharper == sorted(sharper)
     assert max(sharper) <= 1.0 + 1e-9
-    assert "other face" in made.proposals[0].remedy.words
+    assert "other face" in made.proposals[0].remedy.instruction
     assert {p.remedy.kind for p in made.proposals} == {"pointings", "return", "station"}
 
 
 def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still_decided(
     drifting: tuple[Recording, Truth],
 ) -> None:
-    adjusted = adjust(drifting[0], ideal())
-    asked = [explanation(space_of(adjusted, ()), name) for name in ("index-drift", "station-settling")]
-    made = deciding(adjusted, asked, first_is_enough=True)
-    assert made.proposals[0].evidence
-    assert {(p.sharper, p.serves, p.serves_factor) for p in made.proposals} == {(1.0, "", 1.0)}
+    adjusted = adjust(drifting[0], ideal_construction())
+    asked = [best_explanation(residual_space_of(adjusted, ()), name) for name in ("index-drift", "station-settling")]
+    made = rank_deciding_measurements(adjusted, asked, stops_at_first=True)
+    assert made.proposals[0].expected_chi2
+    assert {(p.sigma_ratio, p.most_improved_parameter, p.most_improved_ratio) for p in made.proposals} == {
+        (1.0, "", 1.0)
+    }
 
 
 def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:
     """The best proposal, measured with noise and solved: the covariance is the promised one."""
-    recording, construction = drifting[0], misalignment()
-    made = next_measurement(recording)
+    recording, construction = drifting[0], misalignment_construction()
+    made = rank_next_measurements(recording)
     best = made.proposals[0].remedy.network
     added = np.arange(len(best.recording)) >= len(recording)
     noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.sigma()
@@ -73,44 +81,48 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
     scale = before.problem.prior.sigma[0]
     ratio = [float(d_criterion(a.instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
-    assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].sharper, rel=0.01)
+    assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].sigma_ratio, rel=0.01)
 
 
 def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Recording, Truth]) -> None:
-    network = Network.of(adjust(drifting[0], misalignment()))
+    network = PlannedNetwork.from_adjustment(adjust(drifting[0], misalignment_construction()))
     count, last = len(drifting[0]), drifting[0].time.max()
-    later = [*further_pointings(network), *returns(network, 1200.0), *list(further_stations(network, 1200.0))[:8]]
-    within = [*other_ways(network), *near_reflectors(network)]
+    later = [
+        *pointing_remedies(network),
+        *return_remedies(network, 1200.0),
+        *list(station_remedies(network, 1200.0))[:8],
+    ]
+    within = [*procedure_remedies(network), *near_reflector_remedies(network)]
     for k, remedy in enumerate([*later, *within]):
         grown = remedy.network.recording
         assert grown.time[count:].min() > (last if k < len(later) else grown.time[0])
-        assert remedy.seconds >= (len(grown) - count) * 15 - 1
+        assert remedy.duration >= (len(grown) - count) * 15 - 1
         assert grown.measured[count:].all()
         assert np.array_equal(grown.readings[:count], network.recording.readings, equal_nan=True)
 
 
 def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording, Truth]) -> None:
     recording, truth = drifting
-    adjustment = adjust(recording, misalignment())
-    plan = FloorPlan.of(recording, adjustment.state)
-    assert plan.on_plan
-    assert plan.place(adjustment.state.position) == pytest.approx(truth.position, abs=0.1)
-    turned = [plan.yaw(rotation) for rotation in adjustment.state.rotation]
-    true = np.arctan2(truth.rotation[:, 1, 0], truth.rotation[:, 0, 0])
+    adjustment = adjust(recording, misalignment_construction())
+    plan = FloorPlan.from_recording(recording, adjustment.state)
+    assert plan.has_plan
+    assert plan.positions_on_plan(adjustment.state.station_positions) == pytest.approx(truth.station_positions, abs=0.1)
+    turned = [plan.yaw_on_plan(rotation) for rotation in adjustment.state.station_rotations]
+    true = np.arctan2(truth.station_rotations[:, 1, 0], truth.station_rotations[:, 0, 0])
     assert np.abs(np.angle(np.exp(1j * (turned - true)))).max() < 0.05
 
 
 def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tuple[Recording, Truth]) -> None:
     """Noise drawn on the true effect: the mean advantage of the true one over its rival is the evidence (and a little
     more, as the rival is free to fit noise)."""
-    space = space_of(adjust(drifting[0], misalignment()))
-    first, second = explanation(space, "index-drift"), explanation(space, "station-settling")
-    expected = Rivals.of(space, first, second).now
-    signature = space.project(space.signature(first.effect) @ first.values)[:, None]
-    noise = space.project(np.random.default_rng(1).normal(size=(space.size, 400)))
+    space = residual_space_of(adjust(drifting[0], misalignment_construction()))
+    first, second = best_explanation(space, "index-drift"), best_explanation(space, "station-settling")
+    expected = RivalExplanations.from_explanations(space, first, second).present_evidence
+    signature = space.project(space.whitened_signature(first.effect) @ first.parameter_values)[:, None]
+    noise = space.project(np.random.default_rng(1).normal(size=(space.n_rows, 400)))
 
     def left(effect, y):  # type: ignore[no-untyped-def]
-        columns = space.project(space.signature(effect))
+        columns = space.project(space.whitened_signature(effect))
         fitted = np.linalg.lstsq(columns, y, rcond=1e-8)[0]
         return ((y - columns @ fitted) ** 2).sum(axis=0) - columns.shape[1]
 
@@ -120,19 +132,19 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
 
 
 def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tuple[Recording, Truth]) -> None:
-    made = next_measurement(drifting[0], between=("index-drift", "station-settling"))
-    now = made.evidence_now["station-settling"]
-    gained = [p.evidence["station-settling"] for p in made.proposals]
+    made = rank_next_measurements(drifting[0], explanations=("index-drift", "station-settling"))
+    now = made.present_chi2["station-settling"]
+    gained = [p.expected_chi2["station-settling"] for p in made.proposals]
     assert all(value >= now - 0.5 for value in gained)
-    assert [p.rank for p in made.proposals] == sorted(p.rank for p in made.proposals)
+    assert [p.sort_key for p in made.proposals] == sorted(p.sort_key for p in made.proposals)
 
 
 def test_effects_that_cannot_be_compared_are_refused(drifting: tuple[Recording, Truth]) -> None:
-    space = space_of(adjust(drifting[0], misalignment()))
+    space = residual_space_of(adjust(drifting[0], misalignment_construction()))
     with pytest.raises(ModelError, match="change of the noise"):
-        explanation(space, "noise-level")
+        best_explanation(space, "noise-level")
     with pytest.raises(ModelError, match="did you mean"):
-        explanation(space, "index-drft")
+        best_explanation(space, "index-drft")
 
 
 def test_the_command_ranks_and_writes(drifting: tuple[Recording, Truth], tmp_path: Path) -> None:
@@ -154,15 +166,15 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
         name="nest-lift", stations=("S5",), targets=("T14",), values={"lift-y": 60.0}, shape={"kind": "free"}
     )
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
-    found = next_measurement(simulate(made, 2)[0], between=("nest-lift", "outlier", "target-moved"))
+    found = rank_next_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
     best = found.proposals[0]
-    assert max(found.evidence_now.values()) < 5
-    assert best.distinguished == ("outlier",), (
+    assert max(found.present_chi2.values()) < 5
+    assert best.distinguished_explanations == ("outlier",), (
         "it moved before the last visit, or in it: no pointing of that visit tells"
     )
-    assert not best.decides
-    assert best.remedy.words == "measure T14 from S5 3 more times, without touching the reflector"
-    assert best.remedy.seconds == pytest.approx(45)
+    assert not best.distinguishes_all
+    assert best.remedy.instruction == "measure T14 from S5 3 more times, without touching the reflector"
+    assert best.remedy.duration == pytest.approx(45)
 
 
 @pytest.mark.long
@@ -175,20 +187,28 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     between, beside = open_question(found)
     assert between
     asked = next(f for f in found.findings if f.effect == between[0])
-    planned = next_measurement(recording, between=between, with_effects=beside)
-    assert asked.separate_by == planned.advice
-    assert planned.proposals[0].remedy.words in planned.advice or "no tested measurement" in planned.advice
+    planned = rank_next_measurements(recording, explanations=between, with_effects=beside)
+    assert asked.separate_by == planned.advice_sentence
+    assert (
+        planned.proposals[0].remedy.instruction in planned.advice_sentence
+        or "no tested measurement" in planned.advice_sentence
+    )
 
 
 def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_rivals() -> None:
     """The shortcut over stand-ins against all of them."""
     recording, _ = simulate(scenario(**{"index-drift": 60.0}), 5)
-    adjustment = adjust(recording, misalignment())
-    space = space_of(adjustment)
-    explanations = [explanation(space, name) for name in ("index-drift", "station-settling")]
-    rivals = Rivals.of(space_of(Network.of(adjustment).adjustment), *explanations)
-    for remedy in list(further_pointings(Network.of(adjustment)))[:3]:
-        longer = space_of(remedy.network.adjustment)
-        told, whole = rivals.evidence(longer), Rivals.of(longer, *explanations).now
-        assert told >= rivals.now - 1e-6
+    adjustment = adjust(recording, misalignment_construction())
+    space = residual_space_of(adjustment)
+    explanations = [best_explanation(space, name) for name in ("index-drift", "station-settling")]
+    rivals = RivalExplanations.from_explanations(
+        residual_space_of(PlannedNetwork.from_adjustment(adjustment).adjustment), *explanations
+    )
+    for remedy in list(pointing_remedies(PlannedNetwork.from_adjustment(adjustment)))[:3]:
+        longer = residual_space_of(remedy.network.adjustment)
+        told, whole = (
+            rivals.expected_evidence(longer),
+            RivalExplanations.from_explanations(longer, *explanations).present_evidence,
+        )
+        assert told >= rivals.present_evidence - 1e-6
         assert told == pytest.approx(whole, rel=0.02, abs=0.1)

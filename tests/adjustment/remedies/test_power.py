@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import examine, thinned
+from ltsim.adjustment.remedies.detectability import detectability_at_places, select_places
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
@@ -20,7 +20,7 @@ from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
 from tests.networks import drawn, network
 
@@ -29,8 +29,8 @@ class Search:
     """The search of a diagnosis on one network, with the threshold of its simulated null."""
 
     def __init__(self, faces: int) -> None:
-        recording, _ = network(values=drawn(misalignment(), 1), seed=1, faces=faces)
-        self.space = ResidualSpace.of(adjust(recording, misalignment()))
+        recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
+        self.space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
         self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
         self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
 
@@ -44,21 +44,21 @@ class Search:
 
     def shift(self, places: list[Effect]) -> Floats | None:
         """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none."""
-        seen = examine(self.space, places)
+        seen = detectability_at_places(self.space, places)
         assert seen is not None
-        row = min(seen.table(), key=lambda r: r.typical / r.prior_sigma)
-        if not np.isfinite(row.typical):
+        row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
+        if not np.isfinite(row.median_size):
             return None
-        for effect, sizes in zip(thinned(places), seen.sizes, strict=True):
+        for effect, sizes in zip(select_places(places), seen.minimal_sizes, strict=True):
             names = [p.name for p in effect.parameters]
-            if row.parameter in names and sizes[names.index(row.parameter)] == row.typical:
-                column = self.space.signature(effect)[:, names.index(row.parameter)]
-                return self.space.project(column * row.typical)
+            if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
+                column = self.space.whitened_signature(effect)[:, names.index(row.parameter)]
+                return self.space.project(column * row.median_size)
         return None
 
     def share_found(self, shift: Floats, trials: int) -> float:
         """Share of recordings with it whose search is above the threshold."""
-        white = stream(11, "power").standard_normal((self.space.size, trials))
+        white = stream(11, "power").standard_normal((self.space.n_rows, trials))
         residual = self.space.project(white) + shift[:, None]
         usual = NullEnsemble.of
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
@@ -93,7 +93,7 @@ def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_ofte
 
 
 def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
-    assert search.share_found(np.zeros(search.space.size), 300) == pytest.approx(GLOBAL_LEVEL, abs=0.04)
+    assert search.share_found(np.zeros(search.space.n_rows), 300) == pytest.approx(GLOBAL_LEVEL, abs=0.04)
 
 
 @pytest.mark.long

@@ -10,18 +10,18 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.construction import construction, declared_construction, steering_mirror
+from ltsim.physics.model.construction import declared_construction, make_construction, steering_mirror_construction
 from ltsim.recordings.setup import Instrument
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
 from tests.geometry.kinematics.test_chain import readings
 from tests.networks import network
 
-MIRROR = steering_mirror()
+MIRROR = steering_mirror_construction()
 
 
 def values(**stated: float) -> Floats:
-    found = np.zeros(MIRROR.size)
+    found = np.zeros(MIRROR.n_parameters)
     for name, value in stated.items():
         found[MIRROR.index(name.replace("_", "-"))] = value
     return found
@@ -52,7 +52,7 @@ def reflected(raw: Floats, e: dict[str, float]) -> Floats:
 
 def test_the_chain_is_a_ray_reflected_at_a_plane() -> None:
     raw = readings(11, 12)
-    names = [n for n in MIRROR.names if not n.startswith(("azimuth", "elevation", "range-scale"))]
+    names = [n for n in MIRROR.parameter_names if not n.startswith(("azimuth", "elevation", "range-scale"))]
     for seed in range(4):
         drawn = dict(zip(names, np.random.default_rng(seed).normal(0.0, 1e-2, len(names)), strict=True))
         stated = values(**{name.replace("-", "_"): value for name, value in drawn.items()})
@@ -63,7 +63,7 @@ def test_the_chain_is_a_ray_reflected_at_a_plane() -> None:
 def test_an_ideal_mirror_reads_range_azimuth_and_elevation() -> None:
     polar = np.random.default_rng(5).uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (8, 3))
     raw = to_face(polar, np.array([1, 2] * 4))
-    np.testing.assert_allclose(MIRROR.point(raw, np.zeros(MIRROR.size)), from_polar(polar), atol=1e-13)
+    np.testing.assert_allclose(MIRROR.point(raw, np.zeros(MIRROR.n_parameters)), from_polar(polar), atol=1e-13)
 
 
 def first_order(name: str, range_: Floats, azimuth: Floats, elevation: Floats) -> Floats:
@@ -96,10 +96,10 @@ def first_order(name: str, range_: Floats, azimuth: Floats, elevation: Floats) -
     )
 
 
-@pytest.mark.parametrize("name", [n for n in MIRROR.names if not n.startswith(("azimuth", "elevation"))])
+@pytest.mark.parametrize("name", [n for n in MIRROR.parameter_names if not n.startswith(("azimuth", "elevation"))])
 def test_sensitivities_are_the_published_half_angle_forms(name: str) -> None:
     polar = np.random.default_rng(7).uniform([1.0, -np.pi, -0.9], [9.0, np.pi, 1.2], (20, 3))
-    _, by_value = MIRROR.reading_design(polar, np.zeros(MIRROR.size))
+    _, by_value = MIRROR.reading_design(polar, np.zeros(MIRROR.n_parameters))
     corrections = -by_value[:, :, MIRROR.index(name)]
     np.testing.assert_allclose(corrections, first_order(name, *polar.T), atol=1e-12)
 
@@ -118,14 +118,14 @@ def test_injected_misalignments_come_back_from_a_recording_that_states_its_mirro
     tracker = scenario.instrument.model_copy(update={"construction": "steering-mirror", "errors": {"draw": True}})
     recording, truth = simulate(scenario.model_copy(update={"instrument": tracker}), 4)
     assert recording.setup.instrument.construction == "steering-mirror"
-    found = calibrate_network(recording, advise=False)
+    found = calibrate_network(recording, recommend_measurements=False)
     assert found.construction.name == "steering-mirror"
-    true = np.array([truth.instrument[name] for name in found.construction.names])
-    off = found.values[0] - true
+    true = np.array([truth.instrument_values[name] for name in found.construction.parameter_names])
+    off = found.estimates[0] - true
     z2 = float(off @ np.linalg.solve(found.covariance, off))
     assert 5.6 < z2 < 46.8  # 21 degrees of freedom, 99.9 % of samples
     assert found.fit.p_value is not None and found.fit.p_value > 1e-3
-    wrong = calibrate_network(recording, construction("misalignment"), advise=False)
+    wrong = calibrate_network(recording, make_construction("misalignment"), recommend_measurements=False)
     assert wrong.fit.chi2 > found.fit.chi2 + 100
 
 

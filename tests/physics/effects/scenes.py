@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
-from ltsim.physics.effects.effect import Effect, Mistake
+from ltsim.physics.effects.effect import Blunder, Effect
 from ltsim.physics.effects.motions import station_design
 from ltsim.scene.sightings import Sightings
 from tests.networks import STATIONS, YAWS, mesh, normals
@@ -46,11 +46,11 @@ def scene(*, lean: float = TILT) -> Sightings:
         face=face,
         repeat=np.ones(len(rows), dtype=np.int64),
         time=time,
-        position=STATIONS,
-        rotation=np.stack([rotation(float(y), lean * i) for i, y in enumerate(YAWS)]),
-        points=points,
-        nest_normal=normal,
-        reaimed=reaimed,
+        station_positions=STATIONS,
+        station_rotations=np.stack([rotation(float(y), lean * i) for i, y in enumerate(YAWS)]),
+        target_points=points,
+        nest_normals=normal,
+        is_reaimed=reaimed,
         station_names=tuple(f"S{i + 1}" for i in range(len(STATIONS))),
         target_names=tuple(f"T{i + 1:02d}" for i in range(len(points))),
         covariates={"air_temperature_c": 20.0 + time / 3600.0, "distance_mode": (np.arange(len(rows)) // 3) % 2.0},
@@ -79,8 +79,8 @@ def corrections(effect: Effect, sightings: Sightings) -> Floats:
 
 def all_candidates(kind: type[Effect], sightings: Sightings) -> list[Effect]:
     """What a diagnosis tries, and what it mends beforehand."""
-    if issubclass(kind, Mistake):
-        return list(kind.possible(sightings))
+    if issubclass(kind, Blunder):
+        return list(kind.possible_blunders(sightings))
     return list(kind.candidates(sightings))
 
 
@@ -95,7 +95,7 @@ def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
     """Orthonormal basis (3n, u) of what poses, targets and one range scale absorb, in lengths across the beam."""
     n, s, t = len(sightings), len(sightings.station_names), len(sightings.target_names)
     design = np.zeros((n, 3, 6 * s + 3 * t + 1))
-    pose, point = station_design(sightings), sightings.by_target
+    pose, point = station_design(sightings), sightings.target_derivatives
     for i in range(n):
         at = 6 * sightings.station[i]
         design[i, :, at : at + 6] = pose[i]

@@ -12,12 +12,12 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
 from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity, vapour_pressure
 from ltsim.physics.effects.heat_plume import HeatPlume
-from ltsim.physics.effects.rays import bending, integrated_change
+from ltsim.physics.effects.rays import integrated_change, relative_index_change_per_kelvin
 from ltsim.physics.effects.turbulence import Turbulence
 from tests.physics.effects.scenes import corrections, left_over, lengths, scene
 
 SCENE = scene()
-FLOOR = float(min(SCENE.points[:, 2].min(), SCENE.position[:, 2].min()))
+FLOOR = float(min(SCENE.target_points[:, 2].min(), SCENE.station_positions[:, 2].min()))
 
 
 def index(temperature: float, pressure: float, humidity: float, nanometres: float = 633.0) -> float:
@@ -69,8 +69,8 @@ def test_gradient_bends_and_shortens_as_the_formula_says() -> None:
     """Upright station: -1/2 beta G d cos el, +beta G d (mean height - sensor)."""
     s = scene(lean=0.0)
     beta = temperature_sensitivity(20.0)
-    sensor = s.points[:, 2].mean()
-    mean = 0.5 * (s.points[s.target, 2] + s.position[s.station, 2])
+    sensor = s.target_points[:, 2].mean()
+    mean = 0.5 * (s.target_points[s.target, 2] + s.station_positions[s.station, 2])
     found = corrections(AirGradient(), s)[:, :, 0]
     np.testing.assert_allclose(found[:, 0], beta * s.range_ * (mean - sensor), rtol=3e-4)
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-18)
@@ -82,14 +82,14 @@ def test_gradient_agrees_with_the_integrated_ray() -> None:
     """To 1e-4: by halves of opposite gradients, which leave out the second order of n(T)."""
     effect = AirGradient()
     step = np.array([0.2])
-    exact = 0.5 * (effect.shift(SCENE, step) - effect.shift(SCENE, -step))
+    exact = 0.5 * (effect.reading_change(SCENE, step) - effect.reading_change(SCENE, -step))
     linear = effect.design(SCENE)[:, :, 0] * step[0]
     np.testing.assert_allclose(exact, linear, rtol=1e-4, atol=1e-14)
 
 
 def test_horizontal_gradient_bends_sideways() -> None:
     """The same integral along x: the azimuth of a level ray along y, and its range by the distance from the sensor."""
-    beta, slope = bending(), 0.05
+    beta, slope = relative_index_change_per_kelvin(), 0.05
 
     def change_by(slope: float) -> Floats:
         return integrated_change(
@@ -97,8 +97,8 @@ def test_horizontal_gradient_bends_sideways() -> None:
         )
 
     change = 0.5 * (change_by(slope) - change_by(-slope))
-    _, left, up = SCENE.unit_vectors
-    middle = 0.5 * (SCENE.points[SCENE.target, 0] + SCENE.position[SCENE.station, 0])
+    _, left, up = SCENE.beam_vectors
+    middle = 0.5 * (SCENE.target_points[SCENE.target, 0] + SCENE.station_positions[SCENE.station, 0])
     np.testing.assert_allclose(change[:, 0], -beta * slope * SCENE.range_ * (middle - 3.0), atol=1e-11)
     turned = 0.5 * beta * slope * SCENE.range_ * left[:, 0] / np.cos(SCENE.elevation)
     np.testing.assert_allclose(change[:, 1], turned, atol=1e-11)
@@ -111,7 +111,7 @@ def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
     whole = AirGradient().design(SCENE)[:, :, 0]
     size = np.linalg.norm(lengths(SCENE, whole))
     assert np.linalg.norm(left_over(SCENE, whole, scale=True)) < 1e-9 * size
-    exact = AirGradient().shift(SCENE, np.array([0.1])) / 0.1
+    exact = AirGradient().reading_change(SCENE, np.array([0.1])) / 0.1
     assert np.linalg.norm(left_over(SCENE, exact, scale=True)) < 1e-3 * size
     bending, range_ = whole * [0.0, 1.0, 1.0], whole * [1.0, 0.0, 0.0]
     left = [left_over(SCENE, part, scale=True) for part in (bending, range_)]
@@ -123,31 +123,37 @@ def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
 def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
     """beta G z_sensor."""
     room, head = (AirGradient(sensor=place).design(SCENE)[:, :, 0] for place in ("room", "head"))
-    height = SCENE.position[SCENE.station, 2] - SCENE.points[:, 2].mean()
-    np.testing.assert_allclose((room - head)[:, 0], -bending() * height * SCENE.range_, atol=1e-15)
+    height = SCENE.station_positions[SCENE.station, 2] - SCENE.target_points[:, 2].mean()
+    np.testing.assert_allclose(
+        (room - head)[:, 0], -relative_index_change_per_kelvin() * height * SCENE.range_, atol=1e-15
+    )
     np.testing.assert_allclose((head - room)[:, 1:], 0.0)
     assert np.linalg.norm(left_over(SCENE, head, scale=True)) > 1e-8
 
 
 def test_a_layer_lies_above_the_network_wherever_its_frame_is() -> None:
     """A network 430 m above its zero has the same candidates, and a search stays between their neighbours."""
-    lifted = replace(SCENE, points=SCENE.points + [0.0, 0.0, 430.0], position=SCENE.position + [0.0, 0.0, 430.0])
+    lifted = replace(
+        SCENE,
+        target_points=SCENE.target_points + [0.0, 0.0, 430.0],
+        station_positions=SCENE.station_positions + [0.0, 0.0, 430.0],
+    )
     here, there = AirLayer.candidates(SCENE), AirLayer.candidates(lifted)
     assert [e.width for e in here] == [e.width for e in there]
     np.testing.assert_allclose([e.height for e in here], [e.height for e in there], atol=1e-12)
     np.testing.assert_allclose(here[3].design(SCENE), here[3].design(lifted), atol=1e-13)
-    tall = replace(SCENE, points=SCENE.points * [1.0, 1.0, 20.0])
+    tall = replace(SCENE, target_points=SCENE.target_points * [1.0, 1.0, 20.0])
     for effect in AirLayer.candidates(tall):
-        low, high = AirLayer.shape[0].bracket(effect.height)
+        low, high = AirLayer.shape_parameters[0].neighbouring_grid_interval(effect.height)
         assert low <= effect.height <= high
 
 
 def test_wide_layer_is_a_gradient() -> None:
     """In the middle of a wide logistic the profile is linear with slope 1 / (4 width), about half its step."""
-    width, height = 60.0, float(SCENE.points[:, 2].mean() - FLOOR)
+    width, height = 60.0, float(SCENE.target_points[:, 2].mean() - FLOOR)
     layer = AirLayer(height=height, width=width).design(SCENE)[:, :, 0] * 4 * width
     gradient = AirGradient().design(SCENE)[:, :, 0]
-    layer[:, 0] += bending() * 0.5 * 4 * width * SCENE.range_
+    layer[:, 0] += relative_index_change_per_kelvin() * 0.5 * 4 * width * SCENE.range_
     size = np.abs(gradient).max(axis=0)
     assert (np.abs(layer - gradient).max(axis=0) <= 1e-3 * size).all()
 
@@ -164,7 +170,7 @@ def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLaye
         return step[0] * warm, step[0] * gradient
 
     coarse, fine = integrated_change(SCENE, field), integrated_change(SCENE, field, steps=256)
-    mask = effect.mask(SCENE)[:, None]
+    mask = effect.row_weights(SCENE)[:, None]
     linear = effect.design(SCENE) @ step
     size = np.abs(linear).max(axis=0)
     assert (np.abs(coarse - fine).max(axis=0) < 1e-3 * size + 1e-14).all()

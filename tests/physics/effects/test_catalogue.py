@@ -14,11 +14,17 @@ from types import ModuleType
 import pytest
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.effects import GROUPS
+from ltsim.physics.effects import EFFECT_CLASSES_BY_GROUP
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.beam_tilt import BeamTilt
-from ltsim.physics.effects.catalogue import ADDED, PARTS, SHIPPED, Card, Catalogue
-from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.physics.effects.catalogue import (
+    BUILTIN_ORIGIN,
+    CARD_SECTIONS,
+    PACKAGE_EFFECTS_GROUP,
+    Catalogue,
+    CatalogueEntry,
+)
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 
 CARD = """Cold: it is cold.
 
@@ -34,7 +40,12 @@ Status: not validated.
 
 
 def made(name: str, doc: str = CARD, **attributes: object) -> type[Effect]:
-    base = {"name": name, "stage": Stage.RANGE, "parameters": (Parameter("c", "um", "cold", 1e-6),), "__doc__": doc}
+    base = {
+        "name": name,
+        "stage": LightPathStage.RANGE,
+        "parameters": (Parameter("c", "um", "cold", 1e-6),),
+        "__doc__": doc,
+    }
     base["design"] = lambda self, sightings: None
     return dataclass(frozen=True)(type("Cold", (Effect,), base | attributes))
 
@@ -56,7 +67,7 @@ def catalogue(module: ModuleType, **kinds: object) -> Catalogue:
 def test_installed_effects_follow_the_shipped_ones_by_name(strange: ModuleType) -> None:
     found = catalogue(strange, Warm=made("warmth"), Cold=made("cold"))
     assert [kind.name for kind in found] == ["beam-tilt", "backlash", "cold", "warmth"]
-    assert (found.entries["cold"].group, found.entries["backlash"].origin) == (ADDED, SHIPPED)
+    assert (found.entries["cold"].group, found.entries["backlash"].provider) == (PACKAGE_EFFECTS_GROUP, BUILTIN_ORIGIN)
     assert found.find("warmth") is found[-1]
 
 
@@ -64,7 +75,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
     def never() -> list[EntryPoint]:
         raise AssertionError
 
-    assert Catalogue(GROUPS, never).find("head-sag").name == "head-sag"
+    assert Catalogue(EFFECT_CLASSES_BY_GROUP, never).find("head-sag").name == "head-sag"
 
 
 @pytest.mark.parametrize(
@@ -101,12 +112,12 @@ def test_an_entry_point_that_fails_is_named() -> None:
 
 
 def test_a_card_is_read_by_its_parts() -> None:
-    card = Card.read(CARD)
-    assert (card.title, card.cause, card.law) == ("Cold", "it is cold", "Delta_d = c.")
-    assert card.parts()[2] == (PARTS[2], "a stove.")
+    card = CatalogueEntry.from_docstring(CARD)
+    assert (card.title, card.cause_description, card.equation) == ("Cold", "it is cold", "Delta_d = c.")
+    assert card.sections()[2] == (CARD_SECTIONS[2], "a stove.")
     for broken in (CARD.replace("Cold: ", "Cold, "), CARD.replace("Like", "Alike"), CARD.replace("Delta_d = c.\n", "")):
         with pytest.raises(ModelError, match=r"card"):
-            Card.read(broken)
+            CatalogueEntry.from_docstring(broken)
 
 
 SESSION = """

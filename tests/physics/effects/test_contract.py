@@ -11,9 +11,9 @@ import pytest
 
 from ltsim import effects
 from ltsim.core.errors import ModelError
-from ltsim.physics.effects import CATALOGUE, NoiseEffect, card_of, find_effect
-from ltsim.physics.effects.effect import Effect, Mistake, SlotEffect, Stage
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects import CATALOGUE, NoiseEffect, catalogue_entry, find_effect
+from ltsim.physics.effects.effect import Blunder, Effect, LightPathStage, SlotEffect
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from tests.physics.effects.scenes import all_candidates, chosen, samples, scene
 
@@ -35,18 +35,18 @@ def test_parameters_are_declared(kind: type[Effect]) -> None:
         assert len(set(names)) == len(names)
         for p in effect.parameters:
             assert re.fullmatch(r"[a-z][a-z-]*", p.name)
-            assert p.meaning
-            assert p.factor > 0
+            assert p.description
+            assert p.si_per_display_unit > 0
             assert p.prior_sigma > 0
 
 
 @EVERY
 def test_the_card_has_all_parts(kind: type[Effect]) -> None:
-    card = card_of(kind)
-    assert all(text.endswith(".") for _, text in card.parts())
+    card = catalogue_entry(kind)
+    assert all(text.endswith(".") for _, text in card.sections())
     assert not card.title.endswith(".")
-    told = dict(card.parts())
-    assert re.search(r"\d", told["Size"]) or issubclass(kind, Mistake)
+    told = dict(card.sections())
+    assert re.search(r"\d", told["Size"]) or issubclass(kind, Blunder)
     assert re.search(r"validated|empirical", told["Status"])
 
 
@@ -55,7 +55,7 @@ def test_shapes_and_finite_values(kind: type[Effect]) -> None:
     for scene_ in (SCENE, chosen(SCENE, [3]), chosen(SCENE, [])):
         for effect in samples(kind, SCENE):
             p, n = len(effect.parameters), len(scene_)
-            design, shift = effect.design(scene_), effect.shift(scene_, prior(effect))
+            design, shift = effect.design(scene_), effect.reading_change(scene_, prior(effect))
             assert design.shape == (n, 3, p)
             assert shift.shape == (n, 3)
             assert np.isfinite(design).all()
@@ -66,7 +66,7 @@ def test_shapes_and_finite_values(kind: type[Effect]) -> None:
 def test_zero_values_change_nothing(kind: type[Effect]) -> None:
     for effect in samples(kind, SCENE):
         zero = np.zeros(len(effect.parameters))
-        np.testing.assert_allclose(effect.shift(SCENE, zero), 0.0, atol=1e-13)
+        np.testing.assert_allclose(effect.reading_change(SCENE, zero), 0.0, atol=1e-13)
 
 
 @EVERY
@@ -77,22 +77,24 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
         values = prior(effect)
         linear = effect.design(SCENE) @ values
         size = np.abs(linear).max(axis=0)
-        large = np.abs(effect.shift(SCENE, values) - linear).max(axis=0)
-        small = np.abs(effect.shift(SCENE, 0.1 * values) - 0.1 * linear).max(axis=0)
+        large = np.abs(effect.reading_change(SCENE, values) - linear).max(axis=0)
+        small = np.abs(effect.reading_change(SCENE, 0.1 * values) - 0.1 * linear).max(axis=0)
         assert (large <= 0.05 * size + 1e-12).all(), effect
         assert (small <= 0.02 * large + 0.1 * own * size + 1e-13).all(), effect
 
 
-@pytest.mark.parametrize("kind", [k for k in CATALOGUE if k.stage <= Stage.STATION], ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "kind", [k for k in CATALOGUE if k.stage <= LightPathStage.STATION], ids=lambda kind: kind.name
+)
 def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
     """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
-    lifted = replace(SCENE, lift=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
+    lifted = replace(SCENE, reflector_offsets=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
     for effect in samples(kind, lifted):
         values = 0.1 * prior(effect)
-        np.testing.assert_allclose(effect.shift(lifted, 0.0 * values), 0.0, atol=1e-13)
+        np.testing.assert_allclose(effect.reading_change(lifted, 0.0 * values), 0.0, atol=1e-13)
         linear = effect.design(lifted) @ values
         size = np.abs(linear).max(axis=0)
-        assert (np.abs(effect.shift(lifted, values) - linear).max(axis=0) <= 5e-3 * size + 1e-12).all(), effect
+        assert (np.abs(effect.reading_change(lifted, values) - linear).max(axis=0) <= 5e-3 * size + 1e-12).all(), effect
 
 
 @EVERY
@@ -100,7 +102,7 @@ def test_only_declared_observables_change(kind: type[Effect]) -> None:
     for effect in samples(kind, SCENE):
         silent = [c for c, o in enumerate(OBSERVABLES) if o not in effect.observables]
         seen = [c for c, o in enumerate(OBSERVABLES) if o in effect.observables]
-        changes = np.abs(np.dstack([effect.design(SCENE), effect.shift(SCENE, prior(effect))])).max(axis=0)
+        changes = np.abs(np.dstack([effect.design(SCENE), effect.reading_change(SCENE, prior(effect))])).max(axis=0)
         largest = changes.max(axis=0)
         assert (changes[silent] <= 1e-9 * largest + 1e-14).all()
         if not isinstance(effect, NoiseEffect) and seen:
@@ -110,9 +112,9 @@ def test_only_declared_observables_change(kind: type[Effect]) -> None:
 @EVERY
 def test_nothing_happens_outside_its_place(kind: type[Effect]) -> None:
     for effect in samples(kind, SCENE):
-        outside = effect.mask(SCENE) == 0
+        outside = effect.row_weights(SCENE) == 0
         assert not effect.design(SCENE)[outside].any()
-        assert not effect.shift(SCENE, prior(effect))[outside].any()
+        assert not effect.reading_change(SCENE, prior(effect))[outside].any()
         assert set(effect.stations) <= set(SCENE.station_names)
         assert set(effect.targets) <= set(SCENE.target_names)
         if isinstance(effect, NoiseEffect):
@@ -132,11 +134,11 @@ def test_written_and_packed_and_back(kind: type[Effect]) -> None:
 
 @EVERY
 def test_shapes_lie_between_their_bounds(kind: type[Effect]) -> None:
-    for shape in kind.shape:
+    for shape in kind.shape_parameters:
         for effect in all_candidates(kind, SCENE):
             value = getattr(effect, shape.name)
-            assert shape.low * (1 - 1e-9) <= value <= shape.high * (1 + 1e-9) or shape.low < 0
-            low, high = shape.bracket(value)
+            assert shape.lower_bound * (1 - 1e-9) <= value <= shape.upper_bound * (1 + 1e-9) or shape.lower_bound < 0
+            low, high = shape.neighbouring_grid_interval(value)
             assert low <= value <= high
 
 
@@ -145,7 +147,9 @@ def test_first_order_agrees_with_the_exact_chain(kind: type[SlotEffect]) -> None
     for effect in samples(kind, SCENE):
         assert isinstance(effect, SlotEffect)
         values = 0.01 * prior(effect)
-        exact = misalignment([effect]).readings(SCENE.local, SCENE.face, values) - SCENE.raw
+        exact = (
+            misalignment_construction([effect]).readings(SCENE.local_points, SCENE.face, values) - SCENE.raw_readings
+        )
         exact[:, 1] = (exact[:, 1] + np.pi) % (2 * np.pi) - np.pi
         linear = effect.design(SCENE) @ values
         np.testing.assert_allclose(exact, linear, atol=2e-3 * np.abs(linear).max() + 1e-13)

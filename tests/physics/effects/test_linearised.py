@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
@@ -37,16 +37,18 @@ CASES = [
 def test_derivatives_at_large_values_are_those_of_the_change(signature: Signature, values: np.ndarray) -> None:
     here = sightings()
     found = signature.linearised(here, values)
-    assert np.array_equal(found.shift, signature.shift(here, values))
+    assert np.array_equal(found.shift, signature.reading_change(here, values))
     for k, step in enumerate(np.eye(len(values)) * STEP):
-        change = signature.shift(here, values + step) - signature.shift(here, values - step)
-        change[:, 1:] = wrap(change[:, 1:])
+        change = signature.reading_change(here, values + step) - signature.reading_change(here, values - step)
+        change[:, 1:] = wrap_angle(change[:, 1:])
         assert np.abs(change / (2 * STEP) - found.by_values[:, :, k]).max() < 1e-6
     assert found.by_geometry is not None
     for axis in range(3):
-        moved = [replace(here, points=here.points + sign * STEP * np.eye(3)[axis]) for sign in (1.0, -1.0)]
-        change = np.subtract(*(signature.shift(place, values) for place in moved))
-        change[:, 1:] = wrap(change[:, 1:])
+        moved = [
+            replace(here, target_points=here.target_points + sign * STEP * np.eye(3)[axis]) for sign in (1.0, -1.0)
+        ]
+        change = np.subtract(*(signature.reading_change(place, values) for place in moved))
+        change[:, 1:] = wrap_angle(change[:, 1:])
         assert np.abs(change / (2 * STEP) - found.by_geometry[0][:, :, axis]).max() < 1e-5
 
 

@@ -58,7 +58,7 @@ PARITY: list[tuple[Effect, list[float]]] = [
     (HeatPlume(("S1",), offset=(0.3, 0.2, 0.1)), [SAME]),
     (SmrCentring(), [SAME] * 3),
     (SmrDihedral((), ("T05",)), [SAME, SAME]),
-    (Window(("S1",), normal=(0.6, 0.8, 0.0)), [SAME]),
+    (Window(("S1",), pane_normal=(0.6, 0.8, 0.0)), [SAME]),
     (SmrOffset(("S1",)), [SAME]),
     (NestLift(("S1",), ("T03",), kind="free"), [SAME] * 3),
     (TargetMoved((), ("T03",)), [SAME] * 3),
@@ -113,7 +113,7 @@ def test_tilt_wobble_has_the_coupling_of_both_angles(order: int) -> None:
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="tilt", order=order), s)
         for k, amplitude in enumerate((1.0, 1.0j)):
-            w = amplitude * np.exp(1j * order * s.raw[:, 1])
+            w = amplitude * np.exp(1j * order * s.raw_readings[:, 1])
             rise = w.real * np.sin(s.azimuth) - w.imag * np.cos(s.azimuth)
             turn = -np.tan(s.elevation) * (w.real * np.cos(s.azimuth) + w.imag * np.sin(s.azimuth))
             np.testing.assert_allclose(found[:, :, k], np.stack([0 * rise, turn, rise], axis=1), atol=1e-12)
@@ -124,7 +124,7 @@ def test_transit_wobble_is_a_lateral_shift_in_proportion_to_the_range() -> None:
     for face, f in ((1, 1.0), (2, -1.0)):
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="transit", order=2), s)[:, 1]
-        expected = f * np.stack([np.cos(2 * s.raw[:, 2]), np.sin(2 * s.raw[:, 2])], axis=1)
+        expected = f * np.stack([np.cos(2 * s.raw_readings[:, 2]), np.sin(2 * s.raw_readings[:, 2])], axis=1)
         np.testing.assert_allclose(found * np.cos(s.elevation)[:, None], expected, atol=1e-12)
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.core.units import FACTOR
-from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects.azimuth_drift import AzimuthDrift
 from ltsim.physics.effects.backlash import Backlash
@@ -22,7 +22,7 @@ from ltsim.physics.effects.mesh_expansion import MeshExpansion
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.effects.range_cyclic import LONGEST, SHORTEST, RangeCyclic
+from ltsim.physics.effects.range_cyclic import MAX_WAVELENGTH, MIN_WAVELENGTH, RangeCyclic
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
@@ -51,7 +51,7 @@ HOUR = 3600.0
 def test_interpolation_error_repeats_at_the_same_angle_on_its_own_circle() -> None:
     effect = EncoderInterpolation(circle="elevation", periods=3600)
     found = -effect.design(SCENE)
-    x = SCENE.raw[:, 2]
+    x = SCENE.raw_readings[:, 2]
     np.testing.assert_allclose(found[:, 2], np.stack([np.cos(3600 * x), np.sin(3600 * x)], axis=1), atol=1e-9)
     assert effect.observables == ("elevation",)
 
@@ -64,7 +64,9 @@ def test_backlash_turns_with_the_order_of_the_work() -> None:
     for column, slot in ((0, 1), (1, 2)):
         assert set(np.round(np.unique(np.abs(forward[:, slot, column])), 9)) <= {0.0, 0.5}
         went_on = forward[1:-1, slot, column] * forward[2:, slot, column] > 0
-        went_on &= np.abs(wrap(np.diff(front.raw[:, slot])))[1:] > 1e-3  # an axis that stays keeps its last side
+        went_on &= (
+            np.abs(wrap_angle(np.diff(front.raw_readings[:, slot])))[1:] > 1e-3
+        )  # an axis that stays keeps its last side
         both = (reverse[1:-1, slot, column] != 0) & (forward[1:-1, slot, column] != 0) & went_on
         assert both.sum() > 30
         np.testing.assert_allclose(reverse[1:-1, slot, column][both], -forward[1:-1, slot, column][both])
@@ -106,7 +108,7 @@ def test_search_for_a_wavelength_misses_little() -> None:
     tried = RangeCyclic.candidates(SCENE)
     waves = np.array([e.wavelength for e in tried])
     rng = np.random.default_rng(3)
-    for wavelength in 1 / rng.uniform(1 / LONGEST, 1 / SHORTEST, 60):
+    for wavelength in 1 / rng.uniform(1 / MAX_WAVELENGTH, 1 / MIN_WAVELENGTH, 60):
         wave = np.cos(2 * np.pi * SCENE.range_ / wavelength + rng.uniform(0, 6))
         near = np.argsort(np.abs(1 / waves - 1 / wavelength))[:2]
         shares = []
@@ -118,7 +120,7 @@ def test_search_for_a_wavelength_misses_little() -> None:
 
 
 def test_drifts_after_an_hour_are_the_offsets_they_drift_by() -> None:
-    one = 1 * FACTOR["um/h"] * HOUR
+    one = 1 * SI_PER_UNIT["um/h"] * HOUR
     assert one == pytest.approx(1e-6)
     since = (SCENE.time - SCENE.time.min())[:, None, None]
     for drift, offset in ((RangeDrift(), RangeOffset()), (IndexDrift(), VerticalIndex())):
@@ -153,27 +155,27 @@ def test_expanding_mesh_is_a_drifting_scale_of_the_ranges() -> None:
 def test_steel_grows_by_69_um_over_6_m_and_one_kelvin() -> None:
     rows = chosen(SCENE, np.argsort(SCENE.time)[-1:].tolist())
     hours = (SCENE.time.max() - SCENE.time.min()) / HOUR
-    rate = np.array([11.5 * FACTOR["ppm/h"] / hours])
+    rate = np.array([11.5 * SI_PER_UNIT["ppm/h"] / hours])
     late = replace(rows, time=rows.time)
     both = chosen(SCENE, [int(np.argmin(SCENE.time)), int(np.argmax(SCENE.time))])
-    moved = MeshExpansion(mode="uniform").shift(both, rate)[1]
-    arm = SCENE.points[late.target[0]] - SCENE.points.mean(axis=0)
-    expected = both.by_target[1] @ (11.5e-6 * arm)
+    moved = MeshExpansion(mode="uniform").reading_change(both, rate)[1]
+    arm = SCENE.target_points[late.target[0]] - SCENE.target_points.mean(axis=0)
+    expected = both.target_derivatives[1] @ (11.5e-6 * arm)
     np.testing.assert_allclose(moved, expected, rtol=1e-3, atol=1e-12)
     assert pytest.approx(69e-6) == 11.5e-6 * 6.0
 
 
 def test_vertical_expansion_lifts_only() -> None:
     change = MeshExpansion(mode="vertical").design(SCENE)[:, :, 0]
-    height = SCENE.points[SCENE.target, 2] - SCENE.points[:, 2].mean()
-    lift = SCENE.by_target[:, :, 2] * (height * (SCENE.time - SCENE.time.min()))[:, None]
+    height = SCENE.target_points[SCENE.target, 2] - SCENE.target_points[:, 2].mean()
+    lift = SCENE.target_derivatives[:, :, 2] * (height * (SCENE.time - SCENE.time.min()))[:, None]
     np.testing.assert_allclose(change, lift, atol=1e-9)
 
 
 def test_gauge_scale_and_shape_change_the_stated_lengths_only() -> None:
     """A length stated too short by s L; a nest that moved by D changes L by D along it ."""
     first, second = np.array([24, 24, 25]), np.array([25, 26, 27])
-    points = SCENE.points
+    points = SCENE.target_points
     true = np.linalg.norm(points[first] - points[second], axis=1)
     stated = true + GaugeScale().gauge_design(first, second, points) @ [164e-6]
     np.testing.assert_allclose(true, stated * (1 + 164e-6), rtol=1e-7)
@@ -189,18 +191,18 @@ def test_gauge_scale_and_shape_change_the_stated_lengths_only() -> None:
 
 def test_fixed_vertex_offset_is_a_displacement_and_is_absorbed() -> None:
     """The target sits elsewhere, exactly."""
-    fixed = replace(SCENE, reaimed=np.zeros(28, dtype=bool), nest_normal=np.tile([0.0, 0.6, 0.8], (28, 1)))
+    fixed = replace(SCENE, is_reaimed=np.zeros(28, dtype=bool), nest_normals=np.tile([0.0, 0.6, 0.8], (28, 1)))
     design = SmrCentring().design(fixed)
     basis = network_basis(fixed)
     for k in range(3):
         whole = lengths(fixed, design[:, :, k]).ravel()
         assert np.linalg.norm(whole - basis @ (basis.T @ whole)) < 1e-9 * np.linalg.norm(whole)
-    np.testing.assert_allclose(design[:, :, 0], fixed.by_target @ [0.0, 0.6, 0.8], atol=1e-12)
+    np.testing.assert_allclose(design[:, :, 0], fixed.target_derivatives @ [0.0, 0.6, 0.8], atol=1e-12)
 
 
 def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
     """Delta_d = +e_a at alpha = 0, and the rest is lateral and the same on both faces."""
-    turned = replace(SCENE, reaimed=np.ones(28, dtype=bool))
+    turned = replace(SCENE, is_reaimed=np.ones(28, dtype=bool))
     design = SmrCentring().design(turned)
     np.testing.assert_allclose(design[:, :, 0], RangeOffset().design(turned)[:, :, 0], atol=1e-12)
     np.testing.assert_allclose(design[:, 0, 1:], 0.0, atol=1e-12)
@@ -208,7 +210,7 @@ def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
 
 def test_fixed_vertex_offset_shows_in_the_range_by_the_incidence() -> None:
     """Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0); 26 um at 30 deg is 13 um."""
-    fixed = replace(SCENE, reaimed=np.zeros(28, dtype=bool))
+    fixed = replace(SCENE, is_reaimed=np.zeros(28, dtype=bool))
     known = np.isfinite(fixed.incidence)
     found = -SmrCentring().design(fixed)[known, 0]
     alpha, chi = fixed.incidence[known], fixed.incidence_direction[known]
@@ -229,10 +231,10 @@ def test_split_spot_is_a_constant_angle_of_its_reflector() -> None:
 def test_window_of_three_millimetres(degrees: float, along: float, across: float) -> None:
     """3 mm of glass: 1.500 mm at normal incidence, 1.645 mm at 30 deg, 0.58 mm across."""
     one = chosen(SCENE, [10])
-    beam, left, _ = (v[0] for v in one.unit_vectors)
+    beam, left, _ = (v[0] for v in one.beam_vectors)
     angle = np.radians(degrees)
     normal = tuple(float(x) for x in np.cos(angle) * beam + np.sin(angle) * left)
-    change = Window(normal=normal).design(one)[:, :, 0] * 3e-3  # type: ignore[arg-type]
+    change = Window(pane_normal=normal).design(one)[:, :, 0] * 3e-3  # type: ignore[arg-type]
     found = lengths(one, change)[0]
     assert 1e3 * found[0] == pytest.approx(along, abs=5e-4)
     assert 1e3 * abs(found[1]) == pytest.approx(across, abs=5e-3)
@@ -243,30 +245,30 @@ def test_window_of_three_millimetres(degrees: float, along: float, across: float
 def test_other_ball_lifts_every_target_of_the_station_along_its_normal() -> None:
     """12.7 mm for 1.5 in taken for 0.5 in."""
     assert pytest.approx(12.7) == 25.4 / 2 * (1.5 - 0.5)
-    change = SmrOffset(("S2",)).shift(SCENE, np.array([12.7e-3]))
-    lifted = SCENE.points + 12.7e-3 * np.nan_to_num(SCENE.nest_normal)
-    other = replace(SCENE, points=lifted)
+    change = SmrOffset(("S2",)).reading_change(SCENE, np.array([12.7e-3]))
+    lifted = SCENE.target_points + 12.7e-3 * np.nan_to_num(SCENE.nest_normals)
+    other = replace(SCENE, target_points=lifted)
     here = SCENE.station == 1
-    gap = other.raw - SCENE.raw
-    gap[:, 1] = wrap(gap[:, 1])
+    gap = other.raw_readings - SCENE.raw_readings
+    gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change[here], gap[here], atol=1e-13)
 
 
 def test_nest_lift_is_along_the_normal_and_free_is_anywhere() -> None:
     along = NestLift(("S1",), ("T03",), "normal").design(SCENE)[:, :, 0]
     free = NestLift(("S1",), ("T03",), "free").design(SCENE)
-    np.testing.assert_allclose(along, free @ SCENE.nest_normal[2], atol=1e-12)
+    np.testing.assert_allclose(along, free @ SCENE.nest_normals[2], atol=1e-12)
     assert np.count_nonzero(np.abs(along).sum(axis=1)) == 2
 
 
 def test_moved_target_is_seen_in_the_same_direction_from_all_stations_afterwards() -> None:
     rows = np.flatnonzero(SCENE.target == 4)
     step = float(SCENE.time[rows[4]])
-    moved = SCENE.points.copy()
+    moved = SCENE.target_points.copy()
     motion = np.array([40e-6, 30e-6, -20e-6])
     moved[4] += motion
-    change = TargetMoved((), ("T05",), step).shift(SCENE, motion)
-    gap = replace(SCENE, points=moved).raw - SCENE.raw
+    change = TargetMoved((), ("T05",), step).reading_change(SCENE, motion)
+    gap = replace(SCENE, target_points=moved).raw_readings - SCENE.raw_readings
     np.testing.assert_array_equal(np.flatnonzero(change.any(axis=1)), rows[4:])
     np.testing.assert_allclose(change[rows[4:]], gap[rows[4:]], atol=1e-14)
     creep = TargetMoved((), ("T05",), kind="creep").design(SCENE)
@@ -290,14 +292,14 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     """63 % of the motion after one time constant; readings of a moved station, not corrections."""
     values = np.array([10e-6, -5e-6, 30e-6])
     effect = StationSettling(("S1",), time_constant=300.0)
-    change = effect.shift(SCENE, values)
+    change = effect.reading_change(SCENE, values)
     row = int(np.argmin(np.abs(SCENE.station_time - 300.0) + 1e9 * (SCENE.station != 0)))
     share = 1 - np.exp(-SCENE.station_time[row] / 300.0)
     assert share == pytest.approx(0.632, abs=0.02)
-    turned = from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.rotation[0]
-    arm = SCENE.points[SCENE.target[row]] - SCENE.position[0] - [0.0, 0.0, share * 30e-6]
+    turned = from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
+    arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]
     seen = to_face(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
-    np.testing.assert_allclose(change[row], seen - SCENE.raw[row], atol=1e-13)
+    np.testing.assert_allclose(change[row], seen - SCENE.raw_readings[row], atol=1e-13)
 
 
 def test_bump_at_the_start_is_only_another_pose() -> None:
@@ -320,10 +322,10 @@ def test_levelling_error_is_only_another_pose_where_poses_are_free() -> None:
 
 def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
     """An instrument that leans about its x axis by b sees everything turned by -b about it."""
-    change = StationLevelling().shift(SCENE, np.array([20e-6, 0.0]))
-    turned = SCENE.local @ from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
-    gap = to_face(to_polar(turned), SCENE.face) - SCENE.raw
-    gap[:, 1] = wrap(gap[:, 1])
+    change = StationLevelling().reading_change(SCENE, np.array([20e-6, 0.0]))
+    turned = SCENE.local_points @ from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
+    gap = to_face(to_polar(turned), SCENE.face) - SCENE.raw_readings
+    gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change, gap, atol=1e-13)
 
 
@@ -331,32 +333,32 @@ def test_lag_is_the_rate_of_the_approach() -> None:
     """Delta = rate times lag: 1 ms at 0.1 m/s is 100 um."""
     design = TimingLag().design(SCENE)
     here = np.flatnonzero(SCENE.station == 0)
-    rate = (SCENE.raw[here[1:], 0] - SCENE.raw[here[:-1], 0]) / 15.0
+    rate = (SCENE.raw_readings[here[1:], 0] - SCENE.raw_readings[here[:-1], 0]) / 15.0
     np.testing.assert_allclose(-design[here[1:], 0, 0], rate, atol=1e-12)
     assert not design[here[0]].any()
     assert pytest.approx(100e-6) == 0.1 * 1e-3
 
 
 def test_swapped_targets_read_each_other() -> None:
-    change = TargetSwap(("S3",), ("T02", "T09")).shift(SCENE, np.ones(1))
+    change = TargetSwap(("S3",), ("T02", "T09")).reading_change(SCENE, np.ones(1))
     swapped = SCENE.target.copy()
     swapped[SCENE.target == 1], swapped[SCENE.target == 8] = 8, 1
-    gap = replace(SCENE, target=swapped).raw - SCENE.raw
-    gap[:, 1] = wrap(gap[:, 1])
+    gap = replace(SCENE, target=swapped).raw_readings - SCENE.raw_readings
+    gap[:, 1] = wrap_angle(gap[:, 1])
     gap[SCENE.station != 2] = 0.0
     np.testing.assert_allclose(change, gap, atol=1e-12)
-    assert len(TargetSwap.possible(SCENE)) == 5 * 28 * 27 // 2
+    assert len(TargetSwap.possible_blunders(SCENE)) == 5 * 28 * 27 // 2
 
 
 def test_confused_faces_twice_are_right_again() -> None:
     confused = FaceConfusion(("S1",), face=2)
-    once = SCENE.raw + confused.shift(SCENE, np.ones(1))
+    once = SCENE.raw_readings + confused.reading_change(SCENE, np.ones(1))
     here = (SCENE.station == 0) & (SCENE.face == 2)
-    front = SCENE.polar[here]
-    np.testing.assert_allclose(wrap(once[here, 1:] - front[:, 1:]), 0.0, atol=1e-12)
-    np.testing.assert_array_equal(once[~here], SCENE.raw[~here])
-    back = FaceConfusion(("S1",), face=1).shift(replace(SCENE, face=np.where(here, 1, SCENE.face)), np.ones(1))
-    np.testing.assert_allclose(wrap((once + back)[here, 1:] - SCENE.raw[here, 1:]), 0.0, atol=1e-12)
+    front = SCENE.front_face_polar[here]
+    np.testing.assert_allclose(wrap_angle(once[here, 1:] - front[:, 1:]), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(once[~here], SCENE.raw_readings[~here])
+    back = FaceConfusion(("S1",), face=1).reading_change(replace(SCENE, face=np.where(here, 1, SCENE.face)), np.ones(1))
+    np.testing.assert_allclose(wrap_angle((once + back)[here, 1:] - SCENE.raw_readings[here, 1:]), 0.0, atol=1e-12)
 
 
 def test_wrong_units_have_the_ratios_of_their_units() -> None:
@@ -365,10 +367,10 @@ def test_wrong_units_have_the_ratios_of_their_units() -> None:
     here = SCENE.station == 1
     for mistake, (column, factor) in factors.items():
         effect = WrongUnit(("S2",), mistake=mistake)  # type: ignore[arg-type]
-        read = SCENE.raw + effect.shift(SCENE, np.ones(1))
-        np.testing.assert_allclose(read[here, column], factor * SCENE.raw[here, column])
-    zenith = SCENE.raw + WrongUnit(("S2",), mistake="zenith").shift(SCENE, np.ones(1))
-    np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.raw[here, 2])
+        read = SCENE.raw_readings + effect.reading_change(SCENE, np.ones(1))
+        np.testing.assert_allclose(read[here, column], factor * SCENE.raw_readings[here, column])
+    zenith = SCENE.raw_readings + WrongUnit(("S2",), mistake="zenith").reading_change(SCENE, np.ones(1))
+    np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.raw_readings[here, 2])
 
 
 def test_outlier_is_one_reading() -> None:

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.signature import Parameter, Signature, on_readings
+from ltsim.physics.effects.signature import Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -21,7 +21,7 @@ class Ripple(Signature):
 
     def design(self, sightings: Sightings) -> Floats:
         sign = np.where(np.arange(len(sightings)) // 2 % 2, -1.0, 1.0)
-        return on_readings(sightings, azimuth=sign[:, None])
+        return design_from_front_face_corrections(sightings, azimuth=sign[:, None])
 
 
 def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
@@ -32,15 +32,15 @@ def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
     fitted = adjust(recording.with_readings(readings), truth.construction, effects=[law])
     sigma = float(np.sqrt(fitted.extra_covariance[0, 0]))
     assert sigma < 0.5e-6
-    assert fitted.state.extra[0] == pytest.approx(20e-6, abs=4 * sigma)
+    assert fitted.state.extra_parameters[0] == pytest.approx(20e-6, abs=4 * sigma)
 
 
 def test_what_an_adjustment_leaves_of_a_signature_holds_its_size() -> None:
     recording, truth = network(faces=2, seed=3)
-    space = ResidualSpace.of(adjust(recording, truth.construction))
-    whole = space.signature(Ripple())
+    space = ResidualSpace.from_adjustment(adjust(recording, truth.construction))
+    whole = space.whitened_signature(Ripple())
     left = space.project(whole)
-    assert whole.shape == (space.size, 1)
+    assert whole.shape == (space.n_rows, 1)
     assert 0.5 < float(left[:, 0] @ left[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
 
 

@@ -12,14 +12,25 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.places import MIN_GROUP, clusters
-from ltsim.physics.laws.regressor_library import READING_COVARIATES, group_regressors, is_admissible, regressors_of
-from ltsim.physics.laws.regressors import CONSTANT, Regressor, amounts, simple, smooth
-from ltsim.physics.laws.responses import RESPONSES, response_designs
-from ltsim.physics.laws.sizes import sizes_of
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.names import catalogue_name
+from ltsim.physics.laws.places import MIN_GROUP_TARGETS, target_clusters
+from ltsim.physics.laws.regressor_library import (
+    READING_COVARIATES,
+    candidate_regressors,
+    is_admissible,
+    target_group_regressors,
+)
+from ltsim.physics.laws.regressors import (
+    CONSTANT_REGRESSOR,
+    Regressor,
+    group_amounts_regressor,
+    scalar_regressor,
+    smooth_regressor,
+)
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME, response_designs
+from ltsim.physics.laws.sizes import displayed_sizes
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from tests.networks import drawn, network
@@ -27,8 +38,8 @@ from tests.networks import drawn, network
 
 @pytest.fixture(scope="module")
 def sightings() -> Sightings:
-    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
-    return adjust(recording, misalignment()).sightings
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    return adjust(recording, misalignment_construction()).sightings
 
 
 def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings):
@@ -45,14 +56,17 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         "face",
         "target",
     }
-    kinds = {**regressors_of(sightings), **{f"group {k}": d for k, d in group_regressors(sightings).items()}}
+    kinds = {
+        **candidate_regressors(sightings),
+        **{f"group {k}": d for k, d in target_group_regressors(sightings).items()},
+    }
     drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
     for driver in drivers:
         columns = driver.columns(sightings)
-        assert columns.shape == (len(sightings), driver.size)
+        assert columns.shape == (len(sightings), driver.n_columns)
         assert np.isfinite(columns).all()
         assert set(driver.covariate_labels) <= words | set(sightings.covariates)
-        spread = np.sqrt(((columns * driver.spreads[0]) ** 2).sum(axis=1).mean())
+        spread = np.sqrt(((columns * driver.coefficient_sigmas[0]) ** 2).sum(axis=1).mean())
         assert 0.2 < spread < 2.5, driver
 
 
@@ -61,9 +75,9 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rng = stream(3, "load")
     load = rng.uniform(0.0, 50.0, len(sightings))
     loaded = replace(sightings, covariates={"press_load_kn": load})
-    before = loaded.previous
+    before = loaded.previous_rows
     there = before >= 0
-    followed = {f for kind in ("memory", "lag") for d in regressors_of(loaded)[kind] for f in d.covariates}
+    followed = {f for kind in ("memory", "lag") for d in candidate_regressors(loaded)[kind] for f in d.covariates}
     for name in ("azimuth", "elevation", "distance", "press_load_kn"):
         assert {f"{how}-{name}" for how in ("last", "move", "work")} <= followed
     quantities = loaded.quantities
@@ -73,24 +87,24 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rows = rows[np.argsort(sightings.time[rows], kind="stable")]
     done = np.append(0.0, np.cumsum(np.abs(np.diff(load[rows]))))
     np.testing.assert_allclose(quantities["work-press_load_kn"][rows], done)
-    assert simple("work-press_load_kn", "power").covariate_labels == ("press_load_kn",)
-    assert simple("work-azimuth", "power").covariate_labels == ("approach",)
+    assert scalar_regressor("work-press_load_kn", "power").covariate_labels == ("press_load_kn",)
+    assert scalar_regressor("work-azimuth", "power").covariate_labels == ("approach",)
     assert set(READING_COVARIATES) - {"station", "last-target"} <= set(quantities)
 
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
-    found = amounts("last-target", len(sightings.target_names)).columns(sightings)
-    rows = sightings.previous >= 0
-    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous[rows]])
+    found = group_amounts_regressor("last-target", len(sightings.target_names)).columns(sightings)
+    rows = sightings.previous_rows >= 0
+    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous_rows[rows]])
     assert not found[~rows].any()
 
 
 def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
     designs = response_designs(sightings)
     assert "vertical index" in designs  # two faces tell it from the elevation
-    assert set(designs) <= set(RESPONSES)
+    assert set(designs) <= set(RESPONSES_BY_NAME)
     for name, (carrier, design) in designs.items():
-        assert design.shape == (len(sightings), 3, len(carrier.ways))
+        assert design.shape == (len(sightings), 3, len(carrier.component_names))
         assert np.isfinite(design).all(), name
         if len(carrier.observables) == 1:
             column = ("distance", "azimuth", "elevation").index(carrier.observables[0])
@@ -98,51 +112,56 @@ def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
 
 
 def test_laws_are_effects_like_any_other(sightings):
-    law = Law(("S2",), (), RESPONSES["vertical index"][0], smooth("station-time"))
+    law = EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["vertical index"][0], smooth_regressor("station-time"))
     assert pickle.loads(pickle.dumps(law)) == law
     design = law.design(sightings)
     assert design.shape == (len(sightings), 3, len(law.parameters))
     assert not design[sightings.station != 1].any()
-    short = law.formulas(sightings)
-    assert {d.driver.function for d in short} >= {"power", "decay"}
-    assert name_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
-    wave = Law((), (), RESPONSES["elevation"][0], Regressor("wave", ("elevation",), constant=107.35))
-    assert name_of(wave) == "encoder-interpolation"
-    assert name_of(law) == "unknown"
+    short = law.candidate_formulas(sightings)
+    assert {d.regressor.function for d in short} >= {"power", "decay"}
+    assert (
+        catalogue_name(EmpiricalLaw((), (), law.response, scalar_regressor("station-time", "decay", 900.0)))
+        == "index-drift"
+    )
+    wave = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], Regressor("wave", ("elevation",), constant=107.35))
+    assert catalogue_name(wave) == "encoder-interpolation"
+    assert catalogue_name(law) == "unknown"
 
 
 def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
-    reading = Law(carrier=RESPONSES["elevation"][0], driver=simple("face", "power"))
+    reading = EmpiricalLaw(response=RESPONSES_BY_NAME["elevation"][0], regressor=scalar_regressor("face", "power"))
     one, _ = network(faces=1, seed=1)
-    alone = adjust(one, misalignment()).sightings
+    alone = adjust(one, misalignment_construction()).sightings
     cases = [
         (reading, sightings, "vertical index"),
-        (replace(reading, driver=smooth("time")), sightings, "elevation"),
-        (replace(reading, driver=smooth("time")), alone, "vertical index"),
-        (replace(reading, driver=smooth("elevation")), alone, "elevation"),
-        (replace(reading, carrier=RESPONSES["azimuth"][0]), sightings, "azimuth"),
+        (replace(reading, regressor=smooth_regressor("time")), sightings, "elevation"),
+        (replace(reading, regressor=smooth_regressor("time")), alone, "vertical index"),
+        (replace(reading, regressor=smooth_regressor("elevation")), alone, "elevation"),
+        (replace(reading, response=RESPONSES_BY_NAME["azimuth"][0]), sightings, "azimuth"),
     ]
     for law, sightings, carrier in cases:
-        told = law.as_constant(sightings)
-        assert told.carrier.name == carrier
+        told = law.equivalent_index_law(sightings)
+        assert told.response.name == carrier
         assert np.abs(np.abs(told.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
 
 
 def test_a_wave_is_told_by_amplitude_and_phase(sightings):
-    wave = Law((), (), RESPONSES["distance"][0], Regressor("wave", ("azimuth",), constant=3.0))
-    amplitude, phase = sizes_of(wave, sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
+    wave = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], Regressor("wave", ("azimuth",), constant=3.0))
+    amplitude, phase = displayed_sizes(wave, sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
     assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
     assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
     assert (phase.value, phase.unit) == (pytest.approx(53.13, abs=0.01), "deg")
 
 
 def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings):
-    law = Law(("S2",), (), RESPONSES["lean of the stand"][0], simple("station-time", "power"))
+    law = EmpiricalLaw(
+        ("S2",), (), RESPONSES_BY_NAME["lean of the stand"][0], scalar_regressor("station-time", "power")
+    )
     way = 5e-6 * np.array([0.6, 0.8])
-    column = law.driver.columns(sightings)[:, 0] * (sightings.station == 1)
+    column = law.regressor.columns(sightings)[:, 0] * (sightings.station == 1)
     expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
     np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
-    told = sizes_of(law, sightings, way, 1e-16 * np.eye(2))
+    told = displayed_sizes(law, sightings, way, 1e-16 * np.eye(2))
     assert [e.name for e in told] == ["rms", "swing about x", "swing about y"]
     assert told[2].value / told[1].value == pytest.approx(0.8 / 0.6)
     assert told[0].value == pytest.approx(
@@ -152,60 +171,66 @@ def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings)
 
 
 def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(sightings):
-    alone = Law(("S2",), (), RESPONSES["vertical index"][0], simple("station-time", "power"))
-    together = alone.at_each(sightings)
+    alone = EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["vertical index"][0], scalar_regressor("station-time", "power"))
+    together = alone.per_setup(sightings)
     assert together is not None
     parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
     np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
     mean = np.where(np.arange(len(parts)) == 3, -4e-6, 1e-6)
-    (_, swing) = sizes_of(together, sightings, mean, 1e-16 * np.eye(len(mean)))
-    (_, own) = sizes_of(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
+    (_, swing) = displayed_sizes(together, sightings, mean, 1e-16 * np.eye(len(mean)))
+    (_, own) = displayed_sizes(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
     assert swing == own  # where it does most
 
 
 def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
-    assert not is_admissible("target", smooth("azimuth"), sightings)
-    assert is_admissible("target", smooth("time"), sightings)
-    assert is_admissible("reading", smooth("azimuth"), sightings)
+    assert not is_admissible("target", smooth_regressor("azimuth"), sightings)
+    assert is_admissible("target", smooth_regressor("time"), sightings)
+    assert is_admissible("reading", smooth_regressor("azimuth"), sightings)
 
 
 def test_targets_on_one_surface_belong_together():
     rng = stream(5, "places")
     points = rng.uniform(0.0, 10.0, (12, 3))
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
-    found = clusters(SimpleNamespace(points=points, nest_normal=look))
+    found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
-    assert all(MIN_GROUP <= len(group) <= 12 - MIN_GROUP for group in found)
+    assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in found)
 
 
 def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
     loaded = replace(sightings, covariates={"load": np.maximum(np.sin(sightings.time / 900.0), 0.0)})
-    load = simple("load", "power").columns(loaded, moving=True)
+    load = scalar_regressor("load", "power").columns(loaded, acts_on_targets=True)
     assert load[loaded.covariates["load"] == 0.0].max() == 0.0
-    time = simple("time", "decay", 600.0).columns(loaded, moving=True)
+    time = scalar_regressor("time", "decay", 600.0).columns(loaded, acts_on_targets=True)
     assert time[np.argmin(loaded.time)] == 0.0
-    assert abs(smooth("time").columns(loaded, moving=True).mean(axis=0)).max() < 1e-12
+    assert abs(smooth_regressor("time").columns(loaded, acts_on_targets=True).mean(axis=0)).max() < 1e-12
 
 
 def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
-    decay = Law(targets=("T02",), carrier=RESPONSES["place of targets"][0], driver=simple("time", "decay", 600.0))
+    decay = EmpiricalLaw(
+        targets=("T02",),
+        response=RESPONSES_BY_NAME["place of targets"][0],
+        regressor=scalar_regressor("time", "decay", 600.0),
+    )
     mean = np.array([0.0, 0.0, 3e-5])
-    there = decay.mask(sightings) > 0
+    there = decay.row_weights(sightings) > 0
     moved = decay.columns(sightings)[there, 0] * mean[2]
-    *_, along_z = sizes_of(decay, sightings, mean, 1e-12 * np.eye(3))
+    *_, along_z = displayed_sizes(decay, sightings, mean, 1e-12 * np.eye(3))
     assert along_z.value == pytest.approx(1e6 * np.ptp(moved)) or along_z.value == pytest.approx(-1e6 * np.ptp(moved))
 
 
 def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
-    elevation, face = RESPONSES["elevation"][0], simple("face", "power")
-    law = Law((), (), elevation, Regressor("product", factors=(face, smooth("time", 4))))
-    assert (law.as_constant(sightings).carrier.name, law.as_constant(sightings).driver) == (
+    elevation, face = RESPONSES_BY_NAME["elevation"][0], scalar_regressor("face", "power")
+    law = EmpiricalLaw((), (), elevation, Regressor("product", factors=(face, smooth_regressor("time", 4))))
+    assert (law.equivalent_index_law(sightings).response.name, law.equivalent_index_law(sightings).regressor) == (
         "vertical index",
-        smooth("time", 4),
+        smooth_regressor("time", 4),
     )
-    assert Law((), (), elevation, face).as_constant(sightings).driver.kind == "constant"
-    assert Law((), (), elevation, smooth("time")).as_constant(sightings).carrier == elevation
-    index = law.as_constant(sightings).design(sightings)
+    assert EmpiricalLaw((), (), elevation, face).equivalent_index_law(sightings).regressor.kind == "constant"
+    assert (
+        EmpiricalLaw((), (), elevation, smooth_regressor("time")).equivalent_index_law(sightings).response == elevation
+    )
+    index = law.equivalent_index_law(sightings).design(sightings)
     np.testing.assert_allclose(
         np.abs(index), np.abs(law.design(sightings)[:, :, 1:]), atol=1e-9
     )  # a product has a constant too
@@ -213,26 +238,28 @@ def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
 
 def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings):
     group = sightings.target_names[:4]
-    law = Law((), group, RESPONSES["height of targets in their nests"][0], simple("time", "power"))
-    (own,) = law.forms(sightings)["members"][0]
+    law = EmpiricalLaw(
+        (), group, RESPONSES_BY_NAME["height of targets in their nests"][0], scalar_regressor("time", "power")
+    )
+    (own,) = law.candidate_forms(sightings)["members"][0]
     columns = own.columns(sightings)
     assert columns.shape == (len(sightings), 4)
     for column, name in zip(columns.T, group, strict=True):
         at = sightings.target == sightings.target_names.index(name)
         assert column[at].any() and not column[~at].any()
         assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
-    assert "members" not in replace(law, targets=sightings.target_names[:2]).forms(sightings)
-    assert "members" not in replace(law, carrier=RESPONSES["distance"][0]).forms(sightings)
+    assert "members" not in replace(law, targets=sightings.target_names[:2]).candidate_forms(sightings)
+    assert "members" not in replace(law, response=RESPONSES_BY_NAME["distance"][0]).candidate_forms(sightings)
 
 
 @pytest.mark.parametrize(
     ("carrier", "driver", "stations", "name"),
     [
-        ("distance", simple("time", "power"), (), "range-drift"),
-        ("distance", simple("station-time", "decay", 600.0), ("S2",), "range-drift"),
-        ("distance", simple("distance", "power"), (), "unknown"),
-        ("distance", CONSTANT, (), "range-offset"),
-        ("distance", CONSTANT, ("S2",), "range-step"),
+        ("distance", scalar_regressor("time", "power"), (), "range-drift"),
+        ("distance", scalar_regressor("station-time", "decay", 600.0), ("S2",), "range-drift"),
+        ("distance", scalar_regressor("distance", "power"), (), "unknown"),
+        ("distance", CONSTANT_REGRESSOR, (), "range-offset"),
+        ("distance", CONSTANT_REGRESSOR, ("S2",), "range-step"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
         ("elevation", Regressor("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=1.0), (), "unknown"),
@@ -240,4 +267,4 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
     ],
 )
 def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
-    assert name_of(Law(stations, (), RESPONSES[carrier][0], driver)) == name
+    assert catalogue_name(EmpiricalLaw(stations, (), RESPONSES_BY_NAME[carrier][0], driver)) == name

@@ -20,8 +20,8 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z, cross_matrix
-from ltsim.physics.model.construction import dh
+from ltsim.geometry.rotations import cross_matrix, rotation_about_z
+from ltsim.physics.model.construction import dh_construction
 from ltsim.scene.sightings import Sightings
 
 MESH, GAUGE, STATIONS = 24, 4, 5
@@ -49,11 +49,11 @@ def reference_network(faces: tuple[int, ...], seed: int) -> Sightings:
         face=face,
         repeat=np.ones(count, dtype=np.int64),
         time=np.arange(count, dtype=np.float64),
-        position=np.column_stack([floor, rng.uniform(1.9, 2.1, STATIONS)]),
-        rotation=np.stack([about_z(yaw) for yaw in rng.uniform(-np.pi, np.pi, STATIONS)]),
-        points=np.concatenate([mesh, gauge]),
-        nest_normal=np.full((targets, 3), np.nan),
-        reaimed=np.ones(targets, dtype=bool),
+        station_positions=np.column_stack([floor, rng.uniform(1.9, 2.1, STATIONS)]),
+        station_rotations=np.stack([rotation_about_z(yaw) for yaw in rng.uniform(-np.pi, np.pi, STATIONS)]),
+        target_points=np.concatenate([mesh, gauge]),
+        nest_normals=np.full((targets, 3), np.nan),
+        is_reaimed=np.ones(targets, dtype=bool),
         station_names=tuple(f"S{s}" for s in range(STATIONS)),
         target_names=tuple(f"T{t}" for t in range(targets)),
     )
@@ -69,7 +69,7 @@ class Design:
     gauge_by_target: Floats
 
     def column(self, *names: str) -> Floats:
-        return self.instrument[:, [dh().index(name) for name in names]]
+        return self.instrument[:, [dh_construction().index(name) for name in names]]
 
     @property
     def gauge(self) -> tuple[Floats, Floats]:
@@ -82,15 +82,15 @@ class Design:
 
 @cache
 def design(faces: tuple[int, ...], seed: int) -> Design:
-    sightings, made = reference_network(faces, seed), dh()
+    sightings, made = reference_network(faces, seed), dh_construction()
     count, each = len(sightings), np.arange(len(sightings))
-    _, by_value = made.reading_design(sightings.raw, np.zeros(made.size))
-    arm = sightings.points[sightings.target] - sightings.position[sightings.station]
+    _, by_value = made.reading_design(sightings.raw_readings, np.zeros(made.n_parameters))
+    arm = sightings.target_points[sightings.target] - sightings.station_positions[sightings.station]
     pose = np.zeros((count, 3, STATIONS, 6))
-    pose[each, :, sightings.station, :3] = -sightings.by_target
-    pose[each, :, sightings.station, 3:] = sightings.by_target @ cross_matrix(arm)
+    pose[each, :, sightings.station, :3] = -sightings.target_derivatives
+    pose[each, :, sightings.station, 3:] = sightings.target_derivatives @ cross_matrix(arm)
     target = np.zeros((count, 3, MESH + GAUGE, 3))
-    target[each, :, sightings.target] = sightings.by_target
+    target[each, :, sightings.target] = sightings.target_derivatives
     across = sightings.range_ * np.cos(sightings.elevation)
     lengths = np.stack([np.ones(count), across, sightings.range_], axis=1)[:, :, None]
     instrument, pose, target = (
@@ -99,7 +99,7 @@ def design(faces: tuple[int, ...], seed: int) -> Design:
     pairs = list(combinations(range(MESH, MESH + GAUGE), 2))
     by_target = np.zeros((len(pairs), MESH + GAUGE, 3))
     for row, (i, j) in enumerate(pairs):
-        ray = sightings.points[j] - sightings.points[i]
+        ray = sightings.target_points[j] - sightings.target_points[i]
         by_target[row, j] = ray / np.linalg.norm(ray)
         by_target[row, i] = -by_target[row, j]
     return Design(instrument, pose, target, by_target.reshape(len(pairs), -1))
@@ -144,7 +144,7 @@ def test_the_count(faces: tuple[int, ...], seed: int) -> None:
     known_targets = gapped_rank(without(d.instrument, d.pose))
     free_targets = gapped_rank(without(d.instrument, np.hstack([d.pose, d.target])))
     with_gauge = gapped_rank(without(*d.gauge))
-    assert (dh().size, effective) == (78, 78 - 14)
+    assert (dh_construction().n_parameters, effective) == (78, 78 - 14)
     assert (everything_known, known_targets, free_targets, with_gauge) == (53, 47, 46, 47)
 
 
@@ -157,7 +157,11 @@ def test_the_network_itself_lacks_only_its_datum(faces: tuple[int, ...], seed: i
 
 def test_the_fourteen_without_effect() -> None:
     d = design((1, 2), 0)
-    silent = {n for n, c in zip(dh().names, d.instrument.T, strict=True) if np.linalg.norm(c) < ROUNDING}
+    silent = {
+        n
+        for n, c in zip(dh_construction().parameter_names, d.instrument.T, strict=True)
+        if np.linalg.norm(c) < ROUNDING
+    }
     beam = {f"J2.eZ_{suffix}" for suffix in ("c", "sin", "cos", "sin2", "cos2")}
     assert silent == beam | {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.geometry.rotations import about_z, from_rotation_vector
-from ltsim.physics.model.measurement import State, plan_rotation, sightings_of
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
+from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
@@ -17,7 +17,7 @@ ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
 """Room to network, as after an adjustment in a station's frame."""
 
 
-def recording_with(**stated: object) -> tuple[Recording, State]:
+def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
     """The test network with a rough floor plan, its state in a frame of its own."""
     recording, truth = network(faces=1)
     rough = np.random.default_rng(5)
@@ -29,8 +29,11 @@ def recording_with(**stated: object) -> tuple[Recording, State]:
         }
         stations[name] = Station.model_validate({k: plan[k] for k in plan if k in stated})
     setup = recording.setup.model_copy(update={"stations": stations})
-    state = State(
-        truth.state.position @ ROOM.T, ROOM @ truth.state.rotation, truth.state.points @ ROOM.T, truth.state.instrument
+    state = NetworkState(
+        truth.state.station_positions @ ROOM.T,
+        ROOM @ truth.state.station_rotations,
+        truth.state.target_points @ ROOM.T,
+        truth.state.instrument_parameters,
     )
     return recording.replace(setup=setup), state
 
@@ -48,19 +51,21 @@ def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
 
 def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
     recording, _ = recording_with(position_mm=None, yaw_deg=None)
-    stations = np.stack([about_z(float(y)) for y in YAWS])
+    stations = np.stack([rotation_about_z(float(y)) for y in YAWS])
     np.testing.assert_array_equal(plan_rotation(recording, STATIONS, stations), np.eye(3))
 
 
 def test_without_a_plan_nothing_is_turned() -> None:
     recording, state = recording_with()
-    np.testing.assert_array_equal(plan_rotation(recording, state.position, state.rotation), np.eye(3))
+    np.testing.assert_array_equal(plan_rotation(recording, state.station_positions, state.station_rotations), np.eye(3))
 
 
 def test_rough_places_do_not_lean_the_room() -> None:
     """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
     recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
-    first = truth.rotation[0]
-    turn = plan_rotation(recording, (truth.position - truth.position[0]) @ first, first.T @ truth.rotation)
+    first = truth.station_rotations[0]
+    turn = plan_rotation(
+        recording, (truth.station_positions - truth.station_positions[0]) @ first, first.T @ truth.station_rotations
+    )
     leaned = (first @ turn)[2, 2]
     assert np.degrees(np.arccos(min(1.0, leaned))) < 0.1

@@ -7,14 +7,14 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES, SmrIncidence
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.incidence import incidence_errors, prior_given_bench_test
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES, SmrIncidence
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.incidence import incidence_errors, incidence_prior_from_bench_test
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import BenchTest
 
-TABLE = np.array(PAPER_TABLE) / MICROMETRE
+TABLE = np.array(PAPER_RANGE_ERRORS) / MICROMETRE
 
 
 def recorded(**changes: object) -> Recording:
@@ -27,7 +27,7 @@ def bench(sigma: float = 0.2, **settings: object) -> BenchTest:
 
 
 def extra(recording: Recording, *effects: SmrIncidence) -> int:
-    return MeasurementModel(recording, ideal(), effects).extra_size
+    return MeasurementModel(recording, ideal_construction(), effects).n_extra_parameters
 
 
 def test_it_is_estimated_where_nests_are_fixed_and_the_plan_turns_them() -> None:
@@ -49,29 +49,34 @@ def test_an_effect_without_a_prior_takes_its_place() -> None:
 def test_each_reflector_has_an_error_of_its_own() -> None:
     fixed = recorded(**{"targets.T01.reflector": "B", "targets.T02.reflector": "B"})
     first, second = incidence_errors(fixed)
-    np.testing.assert_array_equal(first.acts + second.acts, 1.0)
-    named = {fixed.targets[t] for t in fixed.target[(first.acts if first.acts.sum() < 70 else second.acts) > 0]}
+    np.testing.assert_array_equal(first.reflector_weights + second.reflector_weights, 1.0)
+    named = {
+        fixed.targets[t]
+        for t in fixed.target[
+            (first.reflector_weights if first.reflector_weights.sum() < 70 else second.reflector_weights) > 0
+        ]
+    }
     assert named == {"T01", "T02"}
 
 
 def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_see() -> None:
-    mean, root = prior_given_bench_test(bench(direction_deg=20.0))
-    truth = SmrIncidence(table=PAPER_TABLE, direction=20.0 * DEGREE).values_of_table
+    mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
+    truth = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
     angles = np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
-    seen = SmrIncidence.terms(*angles)
+    seen = SmrIncidence.error_derivatives(*angles)
     np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)
     assert np.sqrt(np.sum((seen @ root) ** 2, axis=1)).max() < 0.5e-6
-    across = SmrIncidence.terms(np.full(1, 30 * DEGREE), np.full(1, 110.0 * DEGREE))
+    across = SmrIncidence.error_derivatives(np.full(1, 30 * DEGREE), np.full(1, 110.0 * DEGREE))
     assert np.linalg.norm(across @ root) > 3e-6
 
 
 def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     """Mean and covariance are those of Bayes' rule written out, without roots."""
     test = bench(1.5)
-    mean, root = prior_given_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
-    terms = -SmrIncidence.terms(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
+    mean, root = incidence_prior_from_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
+    terms = -SmrIncidence.error_derivatives(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
     rows, gap = np.delete(terms - terms[4], 4, axis=0), np.delete(TABLE - TABLE[4], 4) * MICROMETRE
-    prior = np.diag(SmrIncidence().spread ** 2)
+    prior = np.diag(SmrIncidence().size_scales ** 2)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(8) * (1.5 * MICROMETRE) ** 2)
     np.testing.assert_allclose(mean, gain @ gap, atol=1e-12)
     np.testing.assert_allclose(root @ root.T, prior - gain @ rows @ prior, atol=1e-18)
@@ -86,7 +91,7 @@ def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     variances = []
     for recording in (plain, tested, aimed):
         found = lt.calibrate(recording, advise=False)
-        variances.append(found.sigma[0, found.names.index("azimuth-eccentricity-sin")] ** 2)
+        variances.append(found.sigma[0, found.instrument_parameter_names.index("azimuth-eccentricity-sin")] ** 2)
     without, with_bench, none = variances
     assert with_bench - none < 0.5 * (without - none)
 

@@ -17,10 +17,10 @@ from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.planner import sight_table
-from ltsim.planning.tolerances import judged
+from ltsim.planning.planner import layout_visibility
+from ltsim.planning.tolerances import check_tolerances
 from ltsim.reports.board.board import Board
-from ltsim.scene.visibility import Reason
+from ltsim.scene.visibility import InvisibilityReason
 from tests.planning.test_hall import HALL, points_csv
 from tests.reports.board.tab import opened
 from tests.reports.browser import find_browser
@@ -42,26 +42,26 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     stations[1]["mm"][0] += 500.0
     found = board.judged(stations)
     survey = board.survey(stations)
-    survey = survey.replace(visible=sight_table(board.site, survey).visible)
-    assert survey.position[1, 0] == pytest.approx(board.site.survey.position[1, 0] + 0.5, abs=1e-4)
-    information = LayoutInformation.of(survey, board.construction)
-    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigma)
+    survey = survey.replace(is_visible=layout_visibility(board.site, survey).is_visible)
+    assert survey.station_positions[1, 0] == pytest.approx(board.site.survey.station_positions[1, 0] + 0.5, abs=1e-4)
+    information = LayoutInformation.from_survey(survey, board.construction)
+    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigmas)
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
-    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.visible.tolist()
-    assert found["shadow"] == pytest.approx(survey.position[:, 2] * np.tan(np.radians(35)))
+    assert (np.array(found["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
+    assert found["shadow"] == pytest.approx(survey.station_positions[:, 2] * np.tan(np.radians(35)))
 
 
 def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     board = Board.of(hall)
     stations = board.hall()["stations"]
     survey = board.survey(stations)
-    survey = survey.replace(visible=sight_table(board.site, survey).visible)
-    lost = [judged(survey.without(s), board.demands, board.construction) for s in range(3)]
+    survey = survey.replace(is_visible=layout_visibility(board.site, survey).is_visible)
+    lost = [check_tolerances(survey.without_station(s), board.demands, board.construction) for s in range(3)]
     said = board.verdict(stations)
     assert said is not None
     assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
-    assert ("any one station all are met" in said["words"]) == all(one.good for one in lost)
-    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    assert ("any one station all are met" in said["words"]) == all(one.meets_all for one in lost)
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.target_points[0]]
     assert board.verdict(stations) is None
 
 
@@ -116,7 +116,7 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     assert "S1 stands outside the permitted floor" in board.judged(stations)["problem"]
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
     assert "closer than 1 m" in board.judged(stations)["problem"]
-    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.target_points[0]]
     assert "station S1 coincides with target M00" in board.judged(stations)["problem"]
 
 
@@ -127,12 +127,12 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     wanted = board.judged(stations)
     board.save(stations, tmp_path / "moved")
     file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
-    assert len(file.listed) == 30
+    assert len(file.listed_points) == 30
     assert len(scenario.targets) == 30
     made = lt.plan(tmp_path / "moved").network
-    assert made.chosen.survey.position[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
-    assert 1e6 * made.chosen.qualities["targets"] == pytest.approx(wanted["rms_um"])
-    assert made.check is not None
+    assert made.layout.survey.station_positions[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
+    assert 1e6 * made.layout.qualities["targets"] == pytest.approx(wanted["rms_um"])
+    assert made.tolerance_check is not None
     recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
     assert len(recording.stations) == 3
     elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)

@@ -14,7 +14,7 @@ Status: validated on the sign and against a simulated recording.
 
 from dataclasses import dataclass
 
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class CableDrag(Effect):
     """A twist of the instrument that grows with the turn of its head."""
 
     name = "cable-drag"
-    stage = Stage.AXES
+    stage = LightPathStage.AXES
     observables = ("azimuth",)
     covariates = ("azimuth",)
     parameters = (Parameter("cable-drag", "ppm", "twist of the instrument over the turn of its head", 5e-6),)
 
     def design(self, sightings):
         """Change (n, 3, 1) of the raw readings per unit: minus the correction."""
-        turned = self.mask(sightings) * sightings.raw[:, 1]
-        return on_readings(sightings, azimuth=turned[:, None])
+        turned = self.row_weights(sightings) * sightings.raw[:, 1]
+        return design_from_front_face_corrections(sightings, azimuth=turned[:, None])

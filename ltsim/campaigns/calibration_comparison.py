@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, cloud_error, measured_points
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
-from ltsim.campaigns.spec import JUDGE, judge_of
+from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.results import Result, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
-from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 READING_TOLERANCE = 1e-6
 """Difference [m, rad] below which readings count as equal; noise of two recordings differs by more."""
-JUDGED = Table(
+NEW_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
     (
@@ -39,44 +39,44 @@ JUDGED = Table(
 
 
 @dataclass(frozen=True, repr=False)
-class Judged(Result):
+class NewPointErrors(Result):
     """Error of new points [m] by name of the calibration."""
 
-    errors: Mapping[str, ShareRemoved]
+    errors: Mapping[str, CalibrationErrors]
 
     def _lines(self) -> list[str]:
         first = next(iter(self.errors.values()))
-        raw, floor = first.raw / MICROMETRE, first.true_parameters / MICROMETRE
-        errors = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        raw, floor = first.raw_rms / MICROMETRE, first.true_parameters_rms / MICROMETRE
+        errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"new_points": lambda: JUDGED.filled(self._rows())}
+        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.filled(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():
-            sizes = (error.raw, error.calibrated, error.true_parameters)
-            yield [name, *(size / MICROMETRE for size in sizes), error.share]
+            sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
+            yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
 
 
-def _same_readings(readings: Floats, others: Floats) -> bool:
+def _has_same_readings(readings: Floats, others: Floats) -> bool:
     """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
     return readings.shape != others.shape or not np.any(np.abs(readings - others) > READING_TOLERANCE)
 
 
-def judge(
+def compare_calibrations(
     source: ScenarioSource,
     calibrations: Calibration | Mapping[str, Calibration],
-    judge_in: str | Path,
+    validation_scenario: str | Path,
     *,
     applied: bool = False,
     seed: int = 0,
     trial: int = 0,
-) -> Judged:
+) -> NewPointErrors:
     """Comparison of calibrations of one simulated recording by points that were not used for calibration.
 
     The same instruments with the same errors measure at another place with independent noise, and each calibration
-    corrects these readings. A campaign with `judge_in` has the same numbers in the row of the trial.
+    corrects these readings. A campaign with `validation_scenario` has the same numbers in the row of the trial.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def judge(
         The scenario of the recording that was calibrated.
     calibrations : Calibration, or mapping of str to Calibration
         By the names that the result calls them.
-    judge_in : str or Path
+    validation_scenario : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
     applied : bool
         Judge what `correct` takes out of readings in place of the estimates, as for a campaign's method with `applied`.
@@ -101,13 +101,13 @@ def judge(
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
     >>> found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
-    >>> judged = lt.judge("paper-workshop", found, "paper-laboratory", seed=7)
+    >>> judged = lt.compare_calibrations("paper-workshop", found, "paper-laboratory", seed=7)
     >>> judged.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
     here = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
-    made, truth = measure(fieldwork(here, seed), seed, trial)
+    made, truth = measure_trial(make_geometry(here, seed), seed, trial)
     named = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
     for name, calibration in named.items():
         readings = (
@@ -115,16 +115,16 @@ def judge(
             if calibration.adjustment and calibration.method == "network"
             else made.readings
         )
-        if not _same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
+        if not _has_same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not named:
         raise SetupError("there is no calibration to judge")
-    values = np.array([*truth.instrument.values()]).reshape(len(here.trackers), -1)
-    work = fieldwork(judge_of(str(judge_in), here, place), seed, JUDGE)
-    recording, there = measure(work, seed, trial, values=values, stream_key=JUDGE)
+    values = np.array([*truth.instrument_values.values()]).reshape(len(here.trackers_in_use), -1)
+    work = make_geometry(make_validation_scenario(str(validation_scenario), here, place), seed, VALIDATION_STREAM_KEY)
+    recording, there = measure_trial(work, seed, trial, values=values, stream_key=VALIDATION_STREAM_KEY)
 
     def error(points: Any) -> float:
-        return cloud_error(recording, points, there.points)
+        return cloud_error(recording, points, there.target_points)
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
@@ -132,7 +132,7 @@ def judge(
         named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
     )
     corrected = {
-        name: measured_points(correct(recording, calibration, again=True, rejected=True))
+        name: measured_points(correct(recording, calibration, allow_repeated=True, allow_rejected=True))
         for name, calibration in taken.items()
     }
-    return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})
+    return NewPointErrors({name: CalibrationErrors(raw, error(points), floor) for name, points in corrected.items()})

@@ -10,24 +10,24 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.campaigns.cloud_kernels import (
-    MICRO,
+    MICROMETRES_PER_METRE,
     add_square_error,
+    add_station_means,
+    align_rigidly,
     coordinate_criterion,
     distance_criterion,
-    rigid_fit,
-    station_means,
-    to_network,
+    transform_to_network,
 )
-from ltsim.campaigns.columns import Columns
-from ltsim.campaigns.engine import Calibrated, members
-from ltsim.campaigns.kernels import points_of
+from ltsim.campaigns.columns import ResultColumns
+from ltsim.campaigns.engine import CalibratedBlock, set_membership
+from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.construction import Construction, ideal_construction
 
-COLLINEAR_RATIO = 1e-3
+MAX_COLLINEAR_RATIO = 1e-3
 """Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
 
 
@@ -41,32 +41,32 @@ class TrialEvaluator:
     truth: CellTruth
 
     @cached_property
-    def _means(self) -> tuple[Bools, Floats]:
-        return members(self.truth, self.truth.recording.station)
+    def _mean_weights(self) -> tuple[Bools, Floats]:
+        return set_membership(self.truth, self.truth.recording.station)
 
     @property
-    def visible(self) -> Bools:
+    def is_measured(self) -> Bools:
         """Flags (S, T) of the targets that each station measured completely."""
-        return self._means[0]
+        return self._mean_weights[0]
 
     @cached_property
-    def comparable(self) -> bool:
+    def has_criteria(self) -> bool:
         """True if the criteria are defined.
 
         At least two stations are needed, each with common targets that determine its frame relative to the first.
         """
-        return len(self.visible) > 1 and bool(self._fixed(self.visible & self.visible[0]).all())
+        return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
-    def fitted(self) -> Bools:
+    def has_frame(self) -> Bools:
         """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
-        return self._fixed(self.visible)
+        return self._determines_frame(self.is_measured)
 
-    def _fixed(self, use: Bools) -> Bools:
+    def _determines_frame(self, use: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._truth(1)[:, :, 0], use, flat=COLLINEAR_RATIO)
+        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_COLLINEAR_RATIO)
 
-    def clouds(
+    def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
     ) -> Floats:
         """Means (S, T, 3, B) [m], over faces and repeats, of the measured points in the nominal frame.
@@ -76,14 +76,16 @@ class TrialEvaluator:
         """
         recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
-            construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
-        points, clouds = np.empty(deviation.shape), np.zeros((*self.visible.shape, 3, trials))
-        points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
-        station_means(points, recording.station, recording.target, self._means[1], clouds)
-        to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
+            construction, values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
+        points, clouds = np.empty(deviation.shape), np.zeros((*self.is_measured.shape, 3, trials))
+        compute_points(self.truth.chain_program(construction), recording.instrument, deviation, values, points)
+        add_station_means(points, recording.station, recording.target, self._mean_weights[1], clouds)
+        transform_to_network(
+            clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions
+        )
         return clouds
 
-    def criteria(self, clouds: Floats, suffix: str) -> Columns:
+    def criteria_columns(self, clouds: Floats, suffix: str) -> ResultColumns:
         """Columns of the distance and coordinate criteria, mean and maximum [um]."""
         trials = clouds.shape[3]
         columns = {
@@ -92,17 +94,17 @@ class TrialEvaluator:
             for which in ("mean", "max")
         }
         mean, largest, coordinate_mean, coordinate_largest = columns.values()
-        distance_criterion(clouds, self.visible, mean, largest)
+        distance_criterion(clouds, self.is_measured, mean, largest)
         placed = np.empty_like(clouds)
         placed[0] = clouds[0]
         for s in range(1, len(placed)):
-            rigid_fit(clouds[s], clouds[0], self.visible[s] & self.visible[0], placed[s])
-        coordinate_criterion(placed, self.visible, coordinate_mean, coordinate_largest)
+            align_rigidly(clouds[s], clouds[0], self.is_measured[s] & self.is_measured[0], placed[s])
+        coordinate_criterion(placed, self.is_measured, coordinate_mean, coordinate_largest)
         return columns
 
-    def _truth(self, trials: int) -> Floats:
+    def _true_targets(self, trials: int) -> Floats:
         """True targets (T, 3, B) [m]."""
-        points = self.truth.state.points
+        points = self.truth.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
@@ -111,12 +113,12 @@ class TrialEvaluator:
         Stations whose targets determine no frame are omitted; NaN if no station remains.
         """
         trials = clouds.shape[3]
-        truth, total, count = self._truth(trials), np.zeros(trials), 0
+        truth, total, count = self._true_targets(trials), np.zeros(trials), 0
         moved = np.empty_like(truth)
-        for cloud, visible in zip(clouds[self.fitted], self.visible[self.fitted], strict=True):
-            rigid_fit(cloud, truth, visible, moved)
+        for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
+            align_rigidly(cloud, truth, visible, moved)
             count += add_square_error(moved, truth, visible, total)
-        return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)
+        return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
         """Rms error (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
@@ -126,41 +128,43 @@ class TrialEvaluator:
         determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
         patterns = np.ones((1, len(points)), dtype=bool) if determined.all() else np.unique(determined, axis=1).T
-        for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
+        for pattern, fixed in zip(patterns, self._determines_frame(patterns), strict=True):
             if fixed:
                 trials = np.flatnonzero(np.all(determined == pattern[:, None], axis=0))
-                truth = np.ascontiguousarray(self._truth(len(error))[:, :, trials])
+                truth = np.ascontiguousarray(self._true_targets(len(error))[:, :, trials])
                 moved, total = np.empty_like(truth), np.zeros(len(trials))
-                rigid_fit(truth + points[:, :, trials], truth, pattern, moved)
+                align_rigidly(truth + points[:, :, trials], truth, pattern, moved)
                 count = add_square_error(moved, truth, pattern, total)
-                error[trials] = MICRO * np.sqrt(total / count)
+                error[trials] = MICROMETRES_PER_METRE * np.sqrt(total / count)
         return error
 
-    def before(self, block: TrialBatch) -> Columns:
+    def common_columns(self, block: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
-        raw = self.clouds(block.deviation)
-        perfect = self.clouds(block.deviation, self.truth.construction, block.values)
-        columns: Columns = self.criteria(raw, "before") if self.comparable else {}
+        raw = self.station_clouds(block.reading_deviations)
+        perfect = self.station_clouds(block.reading_deviations, self.truth.construction, block.instrument_values)
+        columns: ResultColumns = self.criteria_columns(raw, "before") if self.has_criteria else {}
         columns["error_raw_um"] = self.cloud_error(raw)
         columns["error_true_parameters_um"] = self.cloud_error(perfect)
         return columns
 
-    def after(
-        self, block: TrialBatch, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
-    ) -> Columns:
+    def method_columns(
+        self, block: TrialBatch, estimates: CalibratedBlock, construction: Construction, effects: Sequence[Effect] = ()
+    ) -> ResultColumns:
         """Columns of a method: criteria and errors after correction by its parameters and effects.
 
         As in `calibrate` and `evaluate`, the estimated incidence errors of reflectors are corrected too; other nuisance
         errors with a prior remain in the readings. The true parameters correct none of them.
         """
-        deviation = block.deviation
-        if estimates.reflectors:
+        deviation = block.reading_deviations
+        if estimates.incidence_parameters:
             deviation = deviation.copy()
-            deviation[:, 0] -= self.truth.incidence_errors(estimates.reflectors)
+            deviation[:, 0] -= self.truth.incidence_errors(estimates.incidence_parameters)
         if effects:
-            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), estimates.extra)
-        calibrated = self.clouds(deviation, construction, estimates.values)
-        columns: Columns = self.criteria(calibrated, "after") if self.comparable else {}
+            deviation = deviation - np.einsum(
+                "ncqb,qb->ncb", self.truth.effect_design_function(tuple(effects)), estimates.effect_values
+            )
+        calibrated = self.station_clouds(deviation, construction, estimates.instrument_values)
+        columns: ResultColumns = self.criteria_columns(calibrated, "after") if self.has_criteria else {}
         columns["error_calibrated_um"] = self.cloud_error(calibrated)
-        columns["target_error_um"] = self.target_error(estimates.points)
+        columns["target_error_um"] = self.target_error(estimates.target_errors)
         return columns

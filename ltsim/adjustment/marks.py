@@ -1,0 +1,64 @@
+"""Marks under the set-ups of a recording, and the positions of set-ups that they imply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.model.measurement import plumb_directions
+from ltsim.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class StationMarks:
+    """Marks under the set-ups of a recording."""
+
+    target_indices: Ints
+    """Index of the target whose mark is under each set-up, -1 for none, (S,)."""
+    first_setup_on_mark: Ints
+    """Index of the first set-up on the same mark that is no target; otherwise the set-up itself, (S,)."""
+    mark_names: tuple[str, ...]
+    """Name of the mark under each set-up, '' for none."""
+    plumb_directions: Floats
+    """Unit vector of the plumb line, (S, 3)."""
+    instrument_offsets: Floats
+    """Vector from the mark to the instrument, (S, 3) [m]."""
+
+    @classmethod
+    def from_recording(cls, recording: Recording) -> StationMarks:
+        """The marks of a recording."""
+        places = {name: i for i, name in enumerate(recording.targets)}
+        setups = [recording.station_setup(name) for name in recording.stations]
+        names = tuple(s.over or "" for s in setups)
+        target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
+        first_on_mark: dict[str, int] = {}
+        first = [first_on_mark.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
+        vertical = plumb_directions(recording)
+        height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
+        return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
+
+    def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
+        """Position (3,) [m] of a set-up from its mark, known as a target or by another set-up on it; NaN otherwise.
+
+        `position` (S, 3) and `points` (T, 3) [m] are NaN for undetermined places.
+        """
+        if self.target_indices[station] >= 0:
+            return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
+        mark, offsets = self.mark_names[station], self.instrument_offsets
+        others = [k for k, name in enumerate(self.mark_names) if name and name == mark and k != station]
+        placed = (position[k] - offsets[k] + offsets[station] for k in others if np.isfinite(position[k, 0]))
+        return next(placed, np.full(3, np.nan))
+
+    def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
+        """Positions (S, 3) consistent with their marks: from targets (T, 3), else from the first set-up."""
+        settled = (
+            position[self.first_setup_on_mark]
+            - self.instrument_offsets[self.first_setup_on_mark]
+            + self.instrument_offsets
+        )
+        over = np.flatnonzero(self.target_indices >= 0)
+        settled[over] = points[self.target_indices[over]] + self.instrument_offsets[over]
+        return settled

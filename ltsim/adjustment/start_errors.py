@@ -1,0 +1,45 @@
+"""Errors for networks without approximate coordinates of every station."""
+
+import numpy as np
+
+from ltsim.adjustment.frame import are_collinear
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing
+from ltsim.recordings.recording import Recording
+
+
+def require_connected_stations(recording: Recording, is_joined: Bools, points: Floats, undetermined_lines: str) -> None:
+    """Check that all stations have coordinates; raises NetworkError with the names of those without.
+
+    Parameters
+    ----------
+    recording : Recording
+    is_joined : array of bool (S,)
+        Stations with coordinates.
+    points : array (k, 3)
+        Targets [m] that the best connected of the other stations shares with the network.
+    undetermined_lines : str
+        Text of the lines of the plan without a determined length.
+    """
+    if is_joined.all():
+        return
+    lost = listing([recording.stations[s] for s in np.flatnonzero(~is_joined)])
+    count = len(points)
+    if count >= 3 and are_collinear(points):
+        what = f"the {count} targets that it shares with the network lie on one line; three that do not"
+    else:
+        what = f"shares only {count} target{'s' * (count != 1)} with the network; at least three"
+    raise NetworkError(
+        f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are missing), "
+        f'or approximate coordinates of all; for a station over a target, set over = "TARGET"{undetermined_lines}'
+    )
+
+
+def require_located_target(recording: Recording, has_coordinates: Bools) -> None:
+    """Check that at least one target has coordinates (T,); raises NetworkError."""
+    if not has_coordinates.any():
+        raise NetworkError(
+            f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and "
+            "the lines of sight from different stations do not meet in one point"
+        )

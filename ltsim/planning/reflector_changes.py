@@ -1,0 +1,201 @@
+"""Changes of single reflectors of a planned layout: moves, additions and removals, and their effect on the quality."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.model.construction import Construction
+from ltsim.planning.objective import TARGETS_QUALITY, LayoutObjective
+from ltsim.planning.plan_change import PlanChange, to_millimetres
+from ltsim.planning.reflectors import MovableReflectors
+from ltsim.planning.site import SearchSpace
+from ltsim.planning.survey import PlannedSurvey
+
+MIN_REPORTED_IMPROVEMENT = 0.002
+"""Smallest relative improvement of the quality at which a change is reported."""
+UNCHANGED_QUALITY = 5e-4
+"""Relative change of the quality up to which it counts as unchanged."""
+MAX_REPORTED_CHANGES = 3
+"""Largest number of reported changes of each kind."""
+
+ChangeKind = Literal["move", "add", "remove"]
+CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
+ChangeResult = tuple[float, int | None, int | None, Floats]
+"""Factor on the quality, removed reflector, occupied place, and the resulting normal matrix."""
+
+
+@dataclass(frozen=True)
+class ReflectorChanges:
+    """Results of all changes of single reflectors."""
+
+    reported_changes: tuple[PlanChange, ...]
+    """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
+    n_tried: dict[ChangeKind, int]
+    """Number of evaluated changes, by kind."""
+    n_useful: dict[ChangeKind, int]
+    """Number of changes that improve the quality by more than `MIN_REPORTED_IMPROVEMENT`, by kind."""
+
+    @property
+    def summary_sentence(self) -> str:
+        """Sentence on the numbers of evaluated and useful changes."""
+        if not self.n_tried["move"] + self.n_tried["add"]:
+            return (
+                "No other place for a reflector was tested: give candidates as reflectors.on, reflectors.places or "
+                "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
+            )
+        return (
+            f"Tested one at a time: {self.n_tried['move']} moves of a reflector ({self.n_useful['move']} help), "
+            f"{self.n_tried['add']} further places ({self.n_useful['add']} help); the others gain less than "
+            f"{100 * MIN_REPORTED_IMPROVEMENT:.1f} %."
+        )
+
+
+def evaluate_reflector_changes(
+    search_space: SearchSpace,
+    survey: PlannedSurvey,
+    is_fixed: Bools,
+    objective: LayoutObjective,
+    construction: Construction,
+) -> ReflectorChanges:
+    """Results of every move, addition and removal of one reflector except the fixed ones (`is_fixed` (T,))."""
+    if is_fixed.all() and search_space.candidate_nests is None:
+        return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
+    return _ChangeEvaluator(
+        MovableReflectors.from_search_space(search_space, survey, is_fixed, objective, construction),
+        objective,
+        search_space.min_reflector_spacing,
+    ).evaluate_all()
+
+
+class _ChangeEvaluator:
+    """Evaluation of changes of a layout, with the reflectors at their present places."""
+
+    def __init__(self, choice: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
+        self.movable_reflectors, self.normal_matrix_table, self.objective = (
+            choice,
+            choice.normal_matrix_table,
+            objective,
+        )
+        self.present_places = np.arange(choice.n_present)
+        self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_places)
+        self.present_objective = self.normal_matrix_table.objective_values(
+            self.present_normal_matrix[None], self.present_places[None], objective
+        )[0]
+        self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
+        gap = np.linalg.norm(choice.places[:, None] - choice.places[None], axis=2)
+        self.is_too_near = gap < spacing
+
+    @property
+    def _is_target_goal(self) -> bool:
+        """True if the goal is the error of targets alone."""
+        return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
+
+    def _objective_factors(self, totals: Floats, sets: Ints, common: Ints) -> Floats:
+        """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
+        if self._is_target_goal:
+            return self.normal_matrix_table.target_rms(totals, common) / self.normal_matrix_table.target_rms(
+                self.present_normal_matrix[None], common
+            )
+        return self.normal_matrix_table.objective_values(totals, sets, self.objective) / self.present_objective
+
+    def _parameter_sigmas(self, total: Floats) -> Floats:
+        """Standard deviations of the instrument's parameters in prior sigmas."""
+        size = self.normal_matrix_table.scorer.construction.n_parameters
+        information = self.normal_matrix_table.information(total[None])[0, :size, :size]
+        return np.sqrt(np.diag(np.linalg.inv(information)))
+
+    def _free_places(self, others: Ints) -> Ints:
+        """Places that are free and far enough from the reflectors in use."""
+        open_ = ~self.is_too_near[:, others].any(axis=1)
+        open_[self.present_places] = False
+        return np.flatnonzero(open_)
+
+    def evaluate_all(self) -> ReflectorChanges:
+        """Results of all changes of single reflectors."""
+        terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_places
+        candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
+        tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
+
+        def note(what: ChangeKind, taken: int | None, places: Ints) -> None:
+            """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
+            others = chosen if taken is None else np.delete(chosen, taken)
+            start = self.present_normal_matrix if taken is None else self.present_normal_matrix - terms[chosen[taken]]
+            sets = np.column_stack([np.tile(others, (len(places), 1)), places])
+            totals = start + terms[places]
+            if what == "remove":
+                sets, totals = others[None], start[None]
+            if not len(sets):
+                return
+            values = self._objective_factors(totals, sets, others)
+            tried[what] += len(values)
+            helped[what] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
+            for k in np.argsort(values)[: 1 if what == "move" else None].tolist():
+                place = None if what == "remove" else int(places[k])
+                candidates[what].append((float(values[k]), taken, place, totals[k]))
+
+        for i in range(len(chosen)):
+            note("move", i, self._free_places(np.delete(chosen, i)))
+            note("remove", i, chosen[:0])
+        note("add", None, self._free_places(chosen))
+        reported: list[PlanChange] = []
+        for what, made in candidates.items():
+            best = _best_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
+            reported += [
+                self._make_change(what, *change)
+                for change in best
+                if what == "remove" or change[0] < 1 - MIN_REPORTED_IMPROVEMENT
+            ]
+        return ReflectorChanges(tuple(reported), tried, helped)
+
+    def _make_change(
+        self, what: ChangeKind, value: float, taken: int | None, place: int | None, total: Floats
+    ) -> PlanChange:
+        common = self.present_places if taken is None else np.delete(self.present_places, taken)
+        before, after = self.normal_matrix_table.target_rms(np.stack([self.present_normal_matrix, total]), common)
+        if self._is_target_goal:
+            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
+            ratios = {name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(total, common).items()}
+        else:
+            ratio = self._parameter_sigmas(total) / self.present_sigmas
+            ratios = dict(
+                zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
+            )
+        serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
+        names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
+        made = PlanChange(
+            do=what,
+            reflector="" if taken is None else names[taken],
+            place="" if place is None else names[place],
+            position_mm=None if place is None else to_millimetres(places[place]),
+            gain_um=float(before - after) / MICROMETRE,
+            quality=value,
+            serves=serves,
+            serves_factor=float(ratios[serves]),
+        )
+        return made.model_copy(update={"words": _change_sentence(made)})
+
+
+def _change_sentence(change: PlanChange) -> str:
+    """Sentence on a change and its benefit, without a full stop."""
+    if abs(1 - change.quality) < UNCHANGED_QUALITY:
+        return f"{change.action_text}: makes no difference"
+    better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
+    other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
+    sigma = 100 * (change.serves_factor - 1)
+    most = "hardest on" if change.do == "remove" else "most for"
+    return f"{change.action_text}: quality {better}, {other}, {most} {change.serves} (sigma {sigma:+.1f} %)"
+
+
+def _best_per_place(best: list[ChangeResult]) -> list[ChangeResult]:
+    """Best change for each place, and all changes that need no place."""
+    distinct, places = [], set()
+    for change in best:
+        if change[2] is None or change[2] not in places:
+            distinct.append(change)
+        places.add(change[2])
+    return distinct
