@@ -46,7 +46,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
-    drop = float(((columns.T @ extended.residual) ** 2).sum())
+    drop = float(((columns.T @ extended.residuals) ** 2).sum())
     assert drop == pytest.approx(one.chi2 - both.chi2, abs=1e-2)
 
 
