@@ -88,7 +88,7 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
         "minutes": round(best.remedy.duration / 60, 1),
         "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2.values()),
         "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2.values()),
-        "tells_apart": " ".join(best.distinguishes),
+        "tells_apart": " ".join(best.distinguished_explanations),
     }
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
 

@@ -125,13 +125,13 @@ def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Cha
     for _ in range(TRIES):
         hall = draw_hall(rng, case.hall)
         if case.kind == "clean":
-            return hall, Network.from_adjustment(hall), Cause(), Change()
+            return hall, Network.of(hall), Cause(), Change()
         try:
             cause = (KNOWN if case.kind == "catalogued" else laws_of(case.laws))[case.law](hall, rng)
         except LookupError:
             excluded["the hall lacks what the law needs"] += 1
             continue
-        network, whole = Network.from_adjustment(hall), cause.change
+        network, whole = Network.of(hall), cause.change
         size = _size(network, whole, case.strength)
         change = whole.scaled(size)
         if size and all(np.abs(part).max() < ABSURD[k] for k, part in change.parts.items()):

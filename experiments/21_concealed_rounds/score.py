@@ -67,7 +67,7 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
             told, true = hit["where"]["observables"], answer["where"].get("observables", ())
             count["exact"] += bool(strict) and set(told) == set(true)
         else:
-            count.update(descriptions=1, first=bool(strict), place=fits(answer, hit))
+            count.update(named=1, first=bool(strict), place=fits(answer, hit))
     count["alarms"] = len(findings) if not answers else max(len(findings) - len(answers), 0)
     before, after = _errors(truth, found)
     return {

@@ -27,7 +27,7 @@ FACET_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of files with triangles or polygons."""
 MAX_DEVIATION_MM = 1.0
 """Largest distance [mm] of a triangle from the exact surface, sufficient for lines of sight."""
-_START_CODE = "from ltsim.scene.cad_process import main; main()"
+_START_CODE = "from ltsim.scene.cad_process import run_process; run_process()"
 _REFUSED_STATUS = 3
 """Exit status of a process whose library raised an error; the error is on standard error."""
 

@@ -182,9 +182,9 @@ def test_reading_a_file_that_names_code_runs_none(kind: str, suffix: str, tmp_pa
 
 SPY = "import os, sys; open(os.environ['MARK'], 'a').write(__file__ + chr(10))\n"
 WORK = """
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 if __name__ == "__main__":
-    print(list(parallel(round, ((1.4,), (2.6,), (3.2,)), 2)))
+    print(list(run_parallel(round, ((1.4,), (2.6,), (3.2,)), 2)))
 """
 
 

@@ -126,11 +126,11 @@ KILLS, LATEST = 10, 0.2
 """Resumed runs that are killed, and the latest moment [s] after a shard, which takes about as long."""
 RESUMED = """import sys
 from pathlib import Path
-from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 
 if __name__ == "__main__":
     print("begun", flush=True)
-    options = {"workers": Workers(jobs=int(sys.argv[3])), "progress": lambda trials: print(trials, flush=True)}
+    options = {"workers": WorkerSettings(jobs=int(sys.argv[3])), "progress": lambda trials: print(trials, flush=True)}
     run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, **options)
 """
 

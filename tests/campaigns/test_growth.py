@@ -152,7 +152,7 @@ def test_status_one_says_which_cell_even_when_quiet(
 ) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(FILE.replace("verify = 0", "verify = 1").replace("[1.0, 2.0]", "[2.0]"))
-    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.difference", lambda *_: 0.01)
+    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.largest_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
     said = capsys.readouterr().err
     assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "limit 0.001" in said

@@ -42,7 +42,7 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
 def test_disagreement_with_the_full_solver_is_exit_status_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "noise.toml"
     file.write_text(FILE)
-    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.difference", lambda *_: 0.01)
+    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.largest_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
 
 

@@ -17,14 +17,14 @@ from ltsim.core.parallel import run_parallel
 SLEEPERS = """
 import os, sys, time
 from pathlib import Path
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 
 def sleep(name):
     (Path(sys.argv[1]) / name).write_text(str(os.getpid()))
     time.sleep(300)
 
 if __name__ == "__main__":
-    list(parallel(sleep, [("a",), ("b",)], 2))
+    list(run_parallel(sleep, [("a",), ("b",)], 2))
 """
 
 

@@ -193,7 +193,7 @@ def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, 
 
 def test_a_large_hall_has_above_500_unknowns() -> None:
     hall = hall_of.draw_hall(np.random.default_rng(3), "large")
-    assert 6 * (len(hall.stations) - 1) + 3 * len(hall.targets) + 16 * len(hall.trackers_in_use) > 500
+    assert 6 * (len(hall.stations) - 1) + 3 * len(hall.targets) + 16 * len(hall.trackers) > 500
     seen = np.unique(np.stack([hall.pointings.station, hall.pointings.target]), axis=1)[1]
     assert np.bincount(seen).min() >= 3
 

@@ -50,7 +50,7 @@ def test_every_cause_changes_something_and_the_first_rung_has_its_noncentrality(
         assert not same or not np.array_equal(clean.target, changed.target) or changed.noise_factor != 1.0
         if row["unit"] and row["rung"] == 1:
             tiny = hall.Cause(cause.name, small * cause.size, cause.station, cause.target)
-            strength = peers.noncentrality(own, hall.Observations.of(own, tiny, noisy_targets=False)) / small**2
+            strength = peers.noncentrality(own, hall.Observations.of(own, tiny, noisy=False)) / small**2
             assert strength == pytest.approx(SETTINGS["noncentrality"], rel=0.02)
 
 

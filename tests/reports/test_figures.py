@@ -106,7 +106,7 @@ def history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
-    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
+    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constancy_test": test}
     courses = [ParameterCourse(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
     return estimates.history_figure(labels, courses)
 

@@ -134,7 +134,7 @@ def undetermined(title: str, entries: Sequence[UndeterminedEntry], *, note: str 
 def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single ones."""
     note = "The combination is determined far better than its single parameters."
-    return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
+    return table_of(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
