@@ -30,7 +30,7 @@ ONLY_THERE: dict[str, set[str]] = {
     "accept": {"folder"},
     "calibrate": {"advise"},
     "convert": {"format", "hints"},
-    "correct": {"again"},
+    "correct": {"allow_repeated"},
     "recover": {"progress"},
     "report": {"tell"},
     "uncertainty": {"recording"},

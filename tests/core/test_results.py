@@ -218,7 +218,7 @@ def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
     for result in drawn:
         for name in result._tables():
             table = result.table(name)
-            again = table.parsed(table.csv())
+            again = table.parse_csv(table.csv())
             assert again.header == table.header, (type(result), name)
             assert len(again.rows) == len(table.rows), (type(result), name)
 
