@@ -46,7 +46,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     >>> lt.read("my-recording")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     >>> lt.write(lt.calibrate(recording), "my-calibration")
-    >>> len(lt.read("my-calibration").names)
+    >>> len(lt.read("my-calibration").instrument_parameter_names)
     16
     """
     place = Path(path)

@@ -183,7 +183,7 @@ def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
 def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
     calibration = lt.calibrate(recording, advise=False)
     lt.write(calibration, tmp_path / "folder")
-    assert lt.read(tmp_path / "folder").names == calibration.instrument_parameter_names
+    assert lt.read(tmp_path / "folder").instrument_parameter_names == calibration.instrument_parameter_names
     truth = lt.simulate("paper-workshop").truth
     lt.write(truth, tmp_path / "truth.json")
     assert lt.read(tmp_path / "truth.json").construction == truth.construction

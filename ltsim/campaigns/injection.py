@@ -74,7 +74,7 @@ def inject(
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
     >>> made, truth = lt.inject(recording, "range-step:S3", noncentrality=100, seed=1)
-    >>> round(truth.causes[0].noncentrality)
+    >>> round(truth.injected_effects[0].noncentrality)
     100
     """
     if not causes:

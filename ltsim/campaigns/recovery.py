@@ -220,7 +220,7 @@ def recover(
     Examples
     --------
     >>> import ltsim as lt
-    >>> lt.recover("paper-workshop", trials=12).failures()
+    >>> lt.recover("paper-workshop", trials=12).failure_sentences()
     []
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")

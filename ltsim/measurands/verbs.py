@@ -111,7 +111,7 @@ def compare(
     --------
     >>> import ltsim as lt
     >>> january, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.compare(january, january, same_instrument=True).moved
+    >>> lt.compare(january, january, same_instrument=True).moved_points
     ()
     """
     lists = [

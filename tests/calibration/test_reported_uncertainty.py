@@ -129,6 +129,6 @@ def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt
     calibration = lt.calibrate(plain.with_readings(plain.readings + noise), advise=False)
     lt.write(calibration, tmp_path)
     for source in (calibration, tmp_path):
-        with pytest.raises(RecordError, match=r"contradict its model \(sigma0 = .*give rejected=True to use it"):
+        with pytest.raises(RecordError, match=r"contradict its model \(sigma0 = .*give allow_rejected=True to use it"):
             lt.correct(plain, source)
         assert lt.correct(plain, source, allow_rejected=True).is_corrected
