@@ -74,7 +74,7 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
 
 def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> list[Contradiction]:
     """Contradictions of an adjustment that had found other values (p,)."""
-    state = SimpleNamespace(instrument=values[None])
+    state = SimpleNamespace(instrument_parameters=values[None])
     covariance, recording = adjustment.constants_covariance, adjustment.recording
     other: Any = SimpleNamespace(
         construction=BUILT,
