@@ -25,6 +25,7 @@ from ltsim.diagnosis.prior import (
 )
 from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import Curve
+from ltsim.diagnosis.space import ROOM
 from ltsim.diagnosis.switches import EARLY_STOP, number_of_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -36,8 +37,6 @@ TILT = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group that moves and tilts as one."""
 ABSORBED_ELSEWHERE = 0.5
 """Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
-MIN_READINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient of a law at one set-up."""
 MOST_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
@@ -135,7 +134,7 @@ def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list
         for name in stations
     ]
     mask = [law.row_weights(exact.space.sightings).sum() for law in laws]
-    laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_READINGS_PER_COEFFICIENT * len(x.parameters)]
+    laws = [x for x, n in zip(laws, mask, strict=True) if n >= ROOM * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = exact.evidence(laws, base)

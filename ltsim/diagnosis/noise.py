@@ -212,7 +212,8 @@ class NoiseBank:
             effect = entry.most_likely_effect(residual, redundancy)
             entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
             if isinstance(entry, NoiseWindows) and value > max(0.0, *(COMPARABLE * v for v, _ in entries)):
-                place, alone = entry.confined(entry.most_likely_effect(residual, redundancy), residual, redundancy)
+                assert isinstance(effect, VarianceFunction)
+                place, alone = entry.confined(effect, residual, redundancy)
                 entries.append((alone + self.share(entry.name), NoiseHypothesis(entry.name, place, (0.0,))))
         return sorted(entries, key=lambda entry: -entry[0])
 

@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
+from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.model.construction import misalignment_construction
@@ -23,6 +23,21 @@ from tests.networks import drawn, network
 def space() -> ResidualSpace:
     recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
     return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
+
+
+def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
+    """Residuals with noise of a size [declared sigmas] added to the angles of some pointings."""
+    pointing, kind = np.nonzero(space.used_readings)
+    rows = np.flatnonzero(noisy[pointing] & (kind > 0))
+    added = np.zeros((space.n_rows, 1))
+    added[rows, 0] = size * rng.standard_normal(len(rows))
+    return space.residuals + space.project(added)[:, 0]
+
+
+def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis:
+    """Most probable change of the noise for some residuals."""
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    return bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
 
 
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,13 +60,8 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     noisy = np.zeros(len(time), dtype=bool)
     for share in (0.1, 0.4, 0.75):
         noisy |= (time > np.quantile(time, share)) & (time <= np.quantile(time, share + 0.1))
-    pointing, kind = np.nonzero(space.used_readings)
-    rows = np.flatnonzero(noisy[pointing] & (kind > 0))
-    added = np.zeros((space.n_rows, 1))
-    added[rows, 0] = 4.0 * stream(2, "compressor").standard_normal(len(rows))
-    residual = space.residuals + space.project(added)[:, 0]
-    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    residual = with_angular_noise(space, noisy, 4.0, stream(2, "compressor"))
+    best = most_probable(space, residual)
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.in_band(space.sightings) == noisy).mean() > 0.95
     fitted = most_likely(replace(space, residuals=residual), space.sigma, best)
@@ -62,13 +72,7 @@ def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace)
     sightings, time = space.sightings, space.sightings.time
     group = max((g for g in target_clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
     noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))
-    pointing, kind = np.nonzero(space.used_readings)
-    rows = np.flatnonzero(noisy[pointing] & (kind > 0))
-    added = np.zeros((space.n_rows, 1))
-    added[rows, 0] = 6.0 * stream(3, "fan").standard_normal(len(rows))
-    residual = space.residuals + space.project(added)[:, 0]
-    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    best = most_probable(space, with_angular_noise(space, noisy, 6.0, stream(3, "fan")))
     pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
     assert best.family == "unknown:noise:windows"
     assert (pattern == noisy).mean() > 0.95
