@@ -244,7 +244,7 @@ class NoiseBank:
         ranked = []
         for same, value in [(list(members.values())[i], evidence[i]) for i in np.argsort(-evidence)[:AVERAGED]]:
             best = same[int(np.argmax(ratio[same]))]
-            exact = ratio[best]
+            exact = float(ratio[best])
             if self.basis is not None:
                 exact = self.exact(best, residual, np.zeros((len(residual), 0)))
             ranked.append((self.hypotheses[best], float(value + exact - ratio[best])))
@@ -252,12 +252,12 @@ class NoiseBank:
 
     def ranked_amounts(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[Amounts, float]]:
         """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
-        ranked = [(amount, self._of_one(amount, residual, redundancy)) for amount in self.amounts]
+        ranked = [(amount, self._log_evidence_of(amount, residual, redundancy)) for amount in self.amounts]
         least = max(rival, *(value for _, value in ranked)) * COMPARABLE
         places = [x for amount, value in ranked if value > least for x in amount.confined(residual, redundancy)]
-        return ranked + [(place, self._of_one(place, residual, redundancy)) for place in places]
+        return ranked + [(place, self._log_evidence_of(place, residual, redundancy)) for place in places]
 
-    def _of_one(self, amount: Amounts, residual: Floats, redundancy: Floats) -> float:
+    def _log_evidence_of(self, amount: Amounts, residual: Floats, redundancy: Floats) -> float:
         return float(self._of_amounts(amount, residual[:, None], redundancy)[0])
 
 

@@ -117,8 +117,8 @@ class Level(Amounts):
         """Relative added variance (g,), averaged over a common factor and separate ones."""
         common, each = self._common, self.averaged(residual[:, None], redundancy)[:, 0]
         noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
-        alike, separate = self._log_evidences(residual[:, None], redundancy)
-        probability = float(expit(alike - separate)[0])
+        common_evidence, separate_evidence = self._log_evidences(residual[:, None], redundancy)
+        probability = float(expit(common_evidence - separate_evidence)[0])
         together = probability * common._added_if_noisy(residual, redundancy)
         added: Floats = together + (1.0 - probability) * noisy * self._added_if_noisy(residual, redundancy)
         return added
