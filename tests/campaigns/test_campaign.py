@@ -130,8 +130,9 @@ from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 
 if __name__ == "__main__":
     print("begun", flush=True)
-    options = {"workers": WorkerSettings(jobs=int(sys.argv[3])), "progress": lambda trials: print(trials, flush=True)}
-    run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, **options)
+    workers = WorkerSettings(n_processes=int(sys.argv[3]))
+    progress = lambda trials: print(trials, flush=True)
+    run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, workers=workers, progress=progress)
 """
 
 

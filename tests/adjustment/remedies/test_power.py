@@ -19,7 +19,7 @@ from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import BASELINE, CATALOGUE
-from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
 from tests.networks import drawn, network
@@ -35,21 +35,27 @@ class Search:
         self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
 
     def families(self) -> Iterator[list[Effect]]:
-        """All places and shapes of each effect beyond the ordinary calibration."""
+        """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
         ordinary = {type(effect) for effect in BASELINE}
         for kind in CATALOGUE:
-            places = [] if kind in ordinary else list(kind.candidates(self.space.sightings))
+            shifts = kind not in ordinary and not issubclass(kind, NoiseEffect)
+            places = list(kind.candidates(self.space.sightings)) if shifts else []
             if places:
                 yield places
 
     def shift(self, places: list[Effect]) -> Floats | None:
-        """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none."""
+        """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none.
+
+        The same holds for an effect on data that the network lacks.
+        """
         seen = detectability_at_places(self.space, places)
-        assert seen is not None
+        if seen is None:
+            return None
         row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
         if not np.isfinite(row.median_size):
             return None
-        for effect, sizes in zip(select_places(places), seen.minimal_sizes, strict=True):
+        acting = [effect for effect in select_places(places) if self.space.whitened_signature(effect).any()]
+        for effect, sizes in zip(acting, seen.minimal_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
                 column = self.space.whitened_signature(effect)[:, names.index(row.parameter)]
