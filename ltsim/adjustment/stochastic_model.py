@@ -135,6 +135,8 @@ VARIANCE_FACTOR_TOLERANCE = 2e-3
 readings."""
 MAX_VARIANCE_ESTIMATES = 30
 """Estimates of the variance factors at most, for given outliers."""
+MAX_CONVERGENCE_RATIO = 0.9
+"""Largest ratio of two steps of the estimation that is extrapolated: to ten times the last step."""
 MAX_OUTLIER_ESTIMATES = 6
 """Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 MIN_GROUP_REDUNDANCY = 3.0
@@ -181,17 +183,20 @@ def estimate_variance_components(
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
     for _ in range(MAX_OUTLIER_ESTIMATES):
+        before_last = np.zeros(len(factor))
         for _ in range(MAX_VARIANCE_ESTIMATES):
             if solution.factor is None:
                 return problem, solution, ()
             square, redundancy = _sums_by_group(problem, solution, group, len(factor))
             enough = redundancy > MIN_GROUP_REDUNDANCY
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
-            factor = factor * np.maximum(change, 0.1)
+            log_change = np.log(np.maximum(change, 0.1))
+            factor = factor * np.exp(_extrapolated(log_change, before_last))
             problem = _scale_sigmas(declared, factor, group, problem.used_readings)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
+            before_last = np.where(before_last, 0.0, log_change)
         before = problem.used_readings
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
         if np.array_equal(problem.used_readings, before):
@@ -203,6 +208,15 @@ def estimate_variance_components(
     kinds += [("level", "")] if len(problem.level_rows) else []
     rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
+
+
+def _extrapolated(step: Floats, previous: Floats) -> Floats:
+    """Limit of a sequence with linear convergence beyond its last step, from that and the `previous` one (0: none).
+
+    Steps shrink by a constant ratio: Aitken's delta-squared process.
+    """
+    ratio = np.divide(step, previous, out=np.zeros_like(step), where=previous != 0.0)
+    return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
 
 
 def _scale_sigmas(declared: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
