@@ -38,7 +38,8 @@ ROUNDING = 1e-9
 """Gain, and difference of gains, that rounding may produce."""
 TIE = 1e-6
 """Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
-MOST_SWEEPS, SMALLEST_ANGLE = 200, 1e-13
+MOST_SWEEPS = 200
+SMALLEST_ANGLE = 1e-13
 """Largest number of sweeps of planar rotations, and largest angle [rad] of a sweep after which they have converged."""
 
 

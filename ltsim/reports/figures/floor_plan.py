@@ -72,10 +72,13 @@ LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.
 MAX_LABELS = 60
 FEW_DOTS = 150
 """Number of targets above which their marks are rasterised."""
-MAX_PLACES, MAX_STACKED = 16, 4
+MAX_PLACES = 16
+MAX_STACKED = 4
 NEAR = 0.05
 """Distance within which targets share a label, over the size of the floor."""
-WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
+WIDE = 4.3
+HEIGHTS = (3.6, 6.6)
+ROW = 0.16
 """Width of the axes, limits of the height of the figure, and additional height per listed place [inch]."""
 ON_A_WALL = 0.35
 """Distance [m] from a side of the floor within which a target belongs to its wall."""
