@@ -62,16 +62,16 @@ def _result_file(place: Path) -> Path | None:
         return place if place.suffix == ".json" and not is_recording(place) else None
     if (place / OBSERVATIONS_FILE).is_file():
         return None
-    from ltsim.reports.schemas import FILES  # which takes a second
+    from ltsim.reports.schemas import FILE_MODELS  # which takes a second
 
-    return next((place / name for name in FILES if name.endswith(".json") and (place / name).is_file()), None)
+    return next((place / name for name in FILE_MODELS if name.endswith(".json") and (place / name).is_file()), None)
 
 
 def _read_result(file: Path) -> Any:
     """Result in a file of a command."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import read_calibration
-    from ltsim.reports.schemas import RESULTS
+    from ltsim.reports.schemas import RESULT_MODELS
 
     kind = str(read_json(file, "result of ltsim").get("format", ""))
     if kind == Calibration.model_fields["format"].default:
@@ -80,7 +80,7 @@ def _read_result(file: Path) -> Any:
         from ltsim.campaigns.results import CampaignResults
 
         return CampaignResults(file.parent)  # the rows beside the manifest
-    model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
+    model = next((m for m in RESULT_MODELS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)
     return read_result(file, model)
@@ -144,9 +144,9 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
         case Plan():
             write_plan(result, path)
         case ResultFile():
-            from ltsim.reports.schemas import TABLES  # which takes half a second
+            from ltsim.reports.schemas import COMPANION_TABLES  # which takes half a second
 
-            named = {table.file for table in TABLES.get(result.FILE, ())}
+            named = {table.file for table in COMPANION_TABLES.get(result.FILE, ())}
             tables = [result.table(name) for name in result._tables()]
             write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})
         case _:

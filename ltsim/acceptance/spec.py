@@ -222,7 +222,7 @@ class AcceptanceSettings(TomlSection):
     """Root of the random draws."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_complete(self) -> Self:
         if self.instrument is None and self.specification is None:
             raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests is None):

@@ -152,7 +152,7 @@ def network_test_entries(recording: Recording, specification: Specification) -> 
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.measured.all(axis=1) & ~adjustment.is_gross_pointing
+    whole = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (

@@ -18,9 +18,9 @@ from ltsim.adjustment.reliability import (
     MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
     noisy_groups,
-    normalised,
     p_value_of_tau,
     redundancy_numbers,
+    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
@@ -130,7 +130,7 @@ class Adjustment(Result):
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
-            if not recording.measured[:, 1:].any():
+            if not recording.is_measured[:, 1:].any():
                 message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
         return cls(problem, solution, np.zeros(len(recording), dtype=bool))
@@ -237,7 +237,7 @@ class Adjustment(Result):
     @cached_property
     def normalised_residuals(self) -> Floats:
         """Normalised residuals (n, 3), standard normal for a correct model (Baarda 1968)."""
-        return normalised(self.problem, self.residuals, self.redundancy)
+        return standardised_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets(self) -> tuple[Ints, float, float]:
@@ -252,9 +252,9 @@ class Adjustment(Result):
     @property
     def undetermined_targets(self) -> tuple[str, ...]:
         """Names of measured targets that the readings in use do not determine and that are not adjusted."""
-        measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
-        lost = self.problem.structure.is_unmeasured_target & (measured > 0)
-        return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
+        targets = self.recording.targets
+        measured = np.bincount(self.recording.target, self.recording.is_measured.any(axis=1), len(targets)) > 0
+        return tuple(targets[i] for i in np.flatnonzero(self.problem.structure.is_unmeasured_target & measured))
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
@@ -387,7 +387,7 @@ class Adjustment(Result):
         solution = solve(problem, replace(start, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
-    def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
+    def with_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
         """Adjustment with covariances by inner constraints over some targets, default all determined ones.
 
         Its state is unchanged.

@@ -36,7 +36,7 @@ NO_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty table of axes: every declared coordinate is used."""
 
 
-def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
+def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
     """Recording with its datum at declared coordinates [m] of targets; `adjust` removes those that do not fit.
 
     Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
@@ -75,7 +75,7 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
+def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
     """Recording in axes defined by three targets: the origin, one on the x axis, one in the plane of x and y.
 
     Raises

@@ -96,7 +96,7 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
     recording, points = adjustment.recording, adjustment.state.target_points
-    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
     if not len(at):
         return
     gaps = np.linalg.norm(_points_from_readings(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
@@ -128,7 +128,7 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
 def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
-    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
     if not len(at):
         return
     off = (
@@ -201,7 +201,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         return recording, _mirrored_pair(recording) if len(odd) else findings
     for s in odd.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
-        for effect in WrongUnit.at_station(name):
+        for effect in WrongUnit.blunders_at_station(name):
             readings = recording.readings.copy()
             readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)

@@ -145,7 +145,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
     ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
-    moves = model.linearised(adjustment.state).target_derivatives[:, :, :axes]
+    moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
     chosen: list[int] = []
     while len(chosen) < min(MAX_CENTRING_ERRORS, len(candidates)):
@@ -157,7 +157,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < ordinary:
             break
-        space, chi2, dof = space.augmented(shifts[best]), chi2 - drop, dof - rank
+        space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
     if not chosen:
         return None
@@ -175,7 +175,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
     if moved is None:
         return recording, []
     by_target, readings, findings = (
-        adjustment.problem.model.linearised(adjustment.state).target_derivatives,
+        adjustment.problem.model.linearise(adjustment.state).target_derivatives,
         recording.readings,
         [],
     )

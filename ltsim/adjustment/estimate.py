@@ -161,7 +161,7 @@ def _require_unoccupied_targets(recording: Recording) -> None:
     marks = StationMarks.from_recording(recording)
     height = np.linalg.norm(marks.instrument_offsets, axis=1)
     is_mark_of_station = marks.target_indices[recording.station] == recording.target
-    rows = np.flatnonzero(is_mark_of_station & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
+    rows = np.flatnonzero(is_mark_of_station & recording.is_measured.any(axis=1) & (height[recording.station] == 0.0))
     if len(rows):
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
         raise NetworkError(
@@ -272,7 +272,7 @@ def _axes_tests(
 ) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
-    adjusted = adjustment.in_inner_datum(chosen)
+    adjusted = adjustment.with_inner_datum(chosen)
     at = [adjusted.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
     turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T

@@ -61,18 +61,20 @@ class DeclaredFrame:
             _coordinates_by_name(recording),
         )
         return cls(
-            _in_metres([by_name.get(name) or _declared_coordinates(recording, name) for name in recording.targets]),
-            _in_metres([by_name.get(name) or _declared_coordinates(recording, name) for name in alone])
+            _points_in_metres(
+                [by_name.get(name) or _declared_coordinates(recording, name) for name in recording.targets]
+            ),
+            _points_in_metres([by_name.get(name) or _declared_coordinates(recording, name) for name in alone])
             + marks.instrument_offsets,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
-            _in_metres([s.position_mm or UNKNOWN_POINT for s in setups]),
+            _points_in_metres([s.position_mm or UNKNOWN_POINT for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
-            _in_metres(
+            _points_in_metres(
                 [_declared_coordinates(recording, name, datum_targets_only=False) for name in recording.targets]
             ),
-            _in_metres([_declared_plan_coordinates(recording.target_setup(name)) for name in recording.targets]),
+            _points_in_metres([_declared_plan_coordinates(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
@@ -257,7 +259,7 @@ def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
     return *target.known_mm[:2], 0.0
 
 
-def _in_metres(places: list[tuple[float, ...]]) -> Floats:
+def _points_in_metres(places: list[tuple[float, ...]]) -> Floats:
     return np.array(places, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 

@@ -161,13 +161,13 @@ class NetworkProblem(NetworkRows):
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
         """State after a step."""
         at = self.unknowns
-        return state.incremented(
+        return state.with_increments(
             step[at.pose_columns], step[at.target_columns], step[at.instrument_columns], step[at.extra_columns]
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
         """Whitened linear system at a state."""
-        return self.linear_system(state, self.model.linearised(state))
+        return self.linear_system(state, self.model.linearise(state))
 
     def linear_system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:
         """Whitened linear system at a state whose predicted readings are given."""

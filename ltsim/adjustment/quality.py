@@ -132,7 +132,10 @@ def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
 
 def _is_unused(adjustment: Adjustment) -> Bools:
     """Flags (m,) of the measured pointings without a used reading."""
-    measured, used = np.asarray(adjustment.recording.measured.any(axis=1)), adjustment.problem.used_readings.any(axis=1)
+    measured, used = (
+        np.asarray(adjustment.recording.is_measured.any(axis=1)),
+        adjustment.problem.used_readings.any(axis=1),
+    )
     return ~np.asarray(used)[measured]
 
 
@@ -231,7 +234,7 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on targets that two stations measure, one or both of which were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
-    for table, readings in ((measured_pairs, recording.measured), (used_pairs, adjustment.problem.used_readings)):
+    for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     two = measured_pairs.sum(axis=0) == 2
@@ -279,7 +282,7 @@ def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on stations that lost most of their pointings."""
-    recording, measured = adjustment.recording, adjustment.recording.measured.any(axis=1)
+    recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
     used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)

@@ -25,8 +25,8 @@ from ltsim.adjustment.reliability import (
     neg_log_p_chi2,
     noise_scale,
     noncentrality,
-    normalised,
     redundancy_numbers,
+    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import snoop_readings
@@ -356,7 +356,7 @@ def _largest_error(
         return None
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
-    w = normalised(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
     shown = noise_scale(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:

@@ -119,7 +119,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
     if not shared.any():
         return
     number = np.cumsum(problem.used_readings).reshape(problem.used_readings.shape) - 1
-    by_place = problem.model.linearised(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
+    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
         readings = problem.used_readings & (recording.station == s)[:, None]
         if readings.any():
@@ -139,7 +139,7 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
         )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif test.kind == "difference":
-        change = {"differences": tuple(difference for difference in setup.differences if difference.called != name)}
+        change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
     elif test.kind in REMOVED_SETTINGS:
         cleared = REMOVED_SETTINGS[test.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}

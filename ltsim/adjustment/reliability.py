@@ -33,7 +33,7 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
     return share
 
 
-def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
+def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
     checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     w = np.where(problem.used_readings, 0.0, np.nan)

@@ -199,7 +199,7 @@ class DifferenceRows(ControlRows):
                 elif place >= count:
                     points[k] += sign * marks.instrument_offsets[place - count]
         return cls(
-            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.called for difference in differences)
+            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.label for difference in differences)
         )
 
     @property

@@ -39,7 +39,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
-    if not recording.measured[:, :2].any():
+    if not recording.is_measured[:, :2].any():
         message = "the recording contains only elevations: horizontal positions and ranges are undetermined; "
         raise NetworkError(message + "measure azimuths or distances too")
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))

@@ -328,7 +328,7 @@ def raise_for_singular_network(
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
     """Sentence on the station and target of a network with the fewest readings."""
-    count = recording.measured.sum(axis=1)
+    count = recording.is_measured.sum(axis=1)
     stations = np.bincount(recording.station, count, len(recording.stations))
     targets = np.bincount(recording.target, count, len(recording.targets))
     weakest = (

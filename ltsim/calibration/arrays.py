@@ -171,7 +171,7 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
     placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS_TABLE.filled([names[i], *cells[i].tolist()] for i in placed)
+    return TARGETS_TABLE.with_rows([names[i], *cells[i].tolist()] for i in placed)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
@@ -189,4 +189,4 @@ def residuals_table(adjustment: Adjustment) -> Table:
         )
         return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-    return RESIDUALS_TABLE.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())
+    return RESIDUALS_TABLE.with_rows(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())

@@ -292,13 +292,13 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
-            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
+            "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
             "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariance),
             "stations": self._stations_table,
-            "outliers": lambda: OUTLIERS_TABLE.filled(self.outliers),
-            "noise": lambda: NOISE_TABLE.filled(self.noise),
-            "reference_values": lambda: REFERENCE_VALUES_TABLE.filled(self.reference_values),
-            "reflectors": lambda: REFLECTORS_TABLE.filled(
+            "outliers": lambda: OUTLIERS_TABLE.with_rows(self.outliers),
+            "noise": lambda: NOISE_TABLE.with_rows(self.noise),
+            "reference_values": lambda: REFERENCE_VALUES_TABLE.with_rows(self.reference_values),
+            "reflectors": lambda: REFLECTORS_TABLE.with_rows(
                 [entry.reflector, p.name, p.value, p.sigma] for entry in self.reflectors for p in entry.parameters
             ),
         }
@@ -312,7 +312,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     def _stations_table(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
         rows = zip(self.stations, sigma, strict=True)
-        return STATIONS_TABLE.filled([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
+        return STATIONS_TABLE.with_rows([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:

@@ -81,7 +81,14 @@ def calibrate_network(
     selection = identify_causes(recording, built, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
         adjusted = partial(
-            _adjust_with_options, recording, built, robust, grouping, datum, prior.widened(freed), selection
+            _adjust_with_options,
+            recording,
+            built,
+            robust,
+            grouping,
+            datum,
+            prior.with_free_parameters(freed),
+            selection,
         )
         try:
             adjustment, fits = fit_with_extra_effects(adjusted, modes, extra_effects)

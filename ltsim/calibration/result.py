@@ -364,7 +364,7 @@ def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) 
 def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the handedness of a network of ranges alone, if it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
-    if recording.measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
+    if recording.is_measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
         return ()
     if DeclaredFrame.from_recording(recording).resolves_mirror(state.station_positions, state.target_points):
         return ()

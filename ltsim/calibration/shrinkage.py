@@ -250,7 +250,7 @@ class ScaledPrior:
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
-    whole = recording.measured.all(axis=1)
+    whole = recording.is_measured.all(axis=1)
     if not whole.any():
         return 0.0
     (range_, _, elevation), (along, aside, above) = recording.readings[whole].T, sigma[whole].T
@@ -267,14 +267,14 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
-    whole = recording.measured.all(axis=1)
+    whole = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
         rows = np.flatnonzero(whole & (recording.station == number))
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument_parameters[instrument]
-        points, _, by_value = adjustment.construction.linearised(readings, values)
+        points, _, by_value = adjustment.construction.linearise(readings, values)
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error

@@ -51,7 +51,7 @@ class NewPointErrors(Result):
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.filled(self._rows())}
+        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():

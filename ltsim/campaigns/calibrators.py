@@ -155,7 +155,7 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
     for number, truth in truths.items():
         judge = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
-        whole = truth.recording.measured.all(axis=0).all()
+        whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
         key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
         groups.setdefault(key, []).append(number)

@@ -114,7 +114,7 @@ def run_campaign(
         )
     with store.lock():
         if force and not resume:
-            store.clear()
+            store.remove_files()
         if store.has_campaign:
             campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
             notes += _environment_change_notes(store)

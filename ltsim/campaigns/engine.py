@@ -126,7 +126,7 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
     """
     lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
-    if adjustment.recording.measured[:, 1:].any():
+    if adjustment.recording.is_measured[:, 1:].any():
         return align_to_points(points, goal_points)
     hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
     return min(hands, key=lambda moved: float(np.nansum((moved - goal_points) ** 2)))
@@ -135,7 +135,7 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
-    whole = np.asarray(recording.measured.all(axis=1) & truth.recorded_observables.all())
+    whole = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
     count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
     return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)

@@ -130,7 +130,7 @@ class BatchNetwork:
     def _whitened_system(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all rows, with columns in the order of the problem, and residuals (m,)."""
         prediction = (
-            self.problem.model.linearised(self.nominal_state)
+            self.problem.model.linearise(self.nominal_state)
             if self.shared_quantities is None
             else self._nominal_prediction(self.shared_quantities)
         )
@@ -142,7 +142,7 @@ class BatchNetwork:
     def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
-        They equal those of `MeasurementModel.linearised`.
+        They equal those of `MeasurementModel.linearise`.
         """
         recording, state = self.recording, self.state
         by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]

@@ -125,9 +125,9 @@ class Recovery(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "checks": lambda: CHECKS_TABLE.filled(self.checks),
-            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
-            "trials": lambda: TRIALS_TABLE.filled(self.arrays.trial_rows()),
+            "checks": lambda: CHECKS_TABLE.with_rows(self.checks),
+            "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
+            "trials": lambda: TRIALS_TABLE.with_rows(self.arrays.trial_rows()),
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:

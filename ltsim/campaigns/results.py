@@ -38,7 +38,7 @@ class CampaignResults(CampaignStatistics, Result):
     def __reduce__(self) -> tuple[type[CampaignResults], tuple[Path]]:
         return CampaignResults, (self.folder.resolve(),)
 
-    def paired(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
+    def paired_differences(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
 
         Parameters

@@ -207,7 +207,7 @@ class CampaignStatistics:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
         rows = self._with_settings(self.summary()["columns"])
-        return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
+        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> ColumnValues:
         with _interruptible():

@@ -161,7 +161,7 @@ class CampaignFolder:
         there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
-    def clear(self) -> None:
+    def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
         path_in_folder(self.folder, ROWS_FOLDER)
         with self._storage_errors():

@@ -121,11 +121,11 @@ def missing_extra(what: str, extra: str) -> SetupError:
 
 def require(packages: Sequence[str], what: str, extra: str) -> None:
     """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
-    if not all(installed(name) for name in packages):
+    if not all(is_installed(name) for name in packages):
         raise missing_extra(what, extra)
 
 
-def installed(package: str) -> bool:
+def is_installed(package: str) -> bool:
     """True where a package can be imported."""
     try:
         return find_spec(package) is not None

@@ -37,7 +37,7 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
     return f"{fixed_point_text(value, places)} +- {fixed_point_text(sigma, places)} {unit}".rstrip()
 
 
-def expanded(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
+def with_expanded_uncertainty(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
     """`1.23 um, U = 0.20 um (k = 2)`: value and expanded uncertainty of a coverage factor."""
     if u is None or not (math.isfinite(u) and u > 0):
         return with_sigma(value, None, unit)

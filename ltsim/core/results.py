@@ -161,7 +161,7 @@ def _is_text(annotation: Any) -> bool:
 
 @dataclass(frozen=True)
 class Table(ValueEquality):
-    """A table: subject and columns, declared once; `filled` adds rows.
+    """A table: subject and columns, declared once; `with_rows` adds rows.
 
     Spreadsheets take a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. Such a text is written to CSV
     with an apostrophe before it, as is a text that begins with an apostrophe; `parse_csv` removes it.
@@ -179,7 +179,7 @@ class Table(ValueEquality):
         made = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
         return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
 
-    def filled(self, rows: Iterable[Any]) -> Table:
+    def with_rows(self, rows: Iterable[Any]) -> Table:
         """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
         return replace(self, rows=tuple(self._row(row) for row in rows))
 
@@ -256,7 +256,7 @@ class Table(ValueEquality):
             if missing:
                 what = "is there twice" if missing[0] in names else "is missing"
                 raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
-            return self.filled(
+            return self.with_rows(
                 [_parse_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
             )
         except csv.Error as problem:

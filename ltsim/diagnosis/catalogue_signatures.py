@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles, stacked
+from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
 from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.null_ensemble import NullEnsemble, square
 from ltsim.physics.effects import BASELINE, CATALOGUE
@@ -138,7 +138,7 @@ class CatalogueSignatures:
             touching.append(effect)
         groups = [_sparse(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
         groups += [
-            _dense(size, members, stacked(made), np.flatnonzero(np.array(kinds)[kind]))
+            _dense(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
             for (size, kinds), (members, made) in sorted(dense.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))

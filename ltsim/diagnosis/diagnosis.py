@@ -132,8 +132,8 @@ class Diagnosis(ResultFile):
             "findings": self._findings,
             "targets": self._coordinates,
             "fit": self._fit,
-            "undetectable": lambda: UNDETECTABLE.filled(self.undetectable),
-            "detectable": lambda: DETECTABLE.filled(self.detectable),
+            "undetectable": lambda: UNDETECTABLE.with_rows(self.undetectable),
+            "detectable": lambda: DETECTABLE.with_rows(self.detectable),
             "residuals": lambda: residuals_table(self.adjusted),
             "residuals_before": lambda: residuals_table(self.baseline),
         }
@@ -144,18 +144,18 @@ class Diagnosis(ResultFile):
         change = self.targets.points - self.baseline.state.target_points
         rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
         named = zip(self.adjusted.recording.targets, rows, strict=True)
-        return TARGETS.filled([name, *row] for name, row in named)
+        return TARGETS.with_rows([name, *row] for name, row in named)
 
     def _fit(self) -> Table:
         both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))
-        return FIT.filled(
+        return FIT.with_rows(
             [words, f.chi2, f.dof, f.chi2 / f.dof if f.dof > 0 else None, f.held_out_rms] for words, f in both
         )
 
     def _findings(self) -> Table:
         """Table of findings, one row per parameter; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
-        return FINDINGS.filled(
+        return FINDINGS.with_rows(
             [
                 f.effect,
                 *(" ".join(names) for names in (f.where.stations, f.where.targets, f.where.observables)),

@@ -135,7 +135,7 @@ class EvidenceCalculator:
             name = effect.response.name
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
-            moved = effect.along_direction(carried[name], self.space.sightings, rows.pointing)
+            moved = effect.change_along_direction(carried[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
             shape = len(signatures), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))

@@ -185,7 +185,7 @@ def curve_of(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: 
     driver = law.regressor
     if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.at_largest_effect(mean, covariance, sightings)
+    law, way, means, spread = law.law_at_largest_effect(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.row_weights(sightings) > 0]
     if driver.kind in ("wave", "cycle"):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.core.arrays import Floats, Ints, Singles, stacked
+from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
 
 DENSE = 0.5
 """Fraction of nonzeros on the rows of its kinds from which a pattern is stored as a dense row (memory)."""
@@ -120,7 +120,7 @@ class NoiseFactors:
         groups = [_group(few, slice(None), _rows(sparse, len(kind)))] if sparse else []
         del sparse
         for touched_kinds, (filled, owners) in dense.items():
-            groups.append(_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stacked(filled)))
+            groups.append(_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stack_and_release(filled)))
         return cls(count, tuple(groups))
 
     def ratios(self, squares: Singles, share: Floats) -> Floats:

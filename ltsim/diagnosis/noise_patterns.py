@@ -68,7 +68,7 @@ def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     for name, width in product(("azimuth", "bearing"), SECTORS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
-            inside = VarianceFunction(covariates=(name,), covariate_band=band).in_band(sightings)
+            inside = VarianceFunction(covariates=(name,), covariate_band=band).is_in_band(sightings)
             if MIN_SECTOR_SHARE <= inside.mean() <= 1.0 - MIN_SECTOR_SHARE:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]

@@ -117,7 +117,7 @@ class Searcher:
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
-        rest.space, rest.large, rest._most = self.space.augmented(unit), True, FEW
+        rest.space, rest.large, rest._most = self.space.with_signatures(unit), True, FEW
         rest.probe = self.probe.with_model(rest.space.residuals, self.empty.basis)
         rest.empty = Model((), (), (), rest.space.residuals)
         rest._ranked, rest._projected = {}, OrderedDict()

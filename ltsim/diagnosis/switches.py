@@ -108,7 +108,7 @@ def _moments(exact: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regre
     sightings, count = exact.space.sightings, len(steps)
     x = sightings.quantities[steps[0].covariates[0]]
     after = x[:, None] > [step.constant for step in steps]
-    gram, score = exact.moments([law.in_steps(steps)], base)[0]
+    gram, score = exact.moments([law.with_steps(steps)], base)[0]
     ways = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (ways * count))  # steps have an rms of one
     shape = ways, count, len(columns) // count

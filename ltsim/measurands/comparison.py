@@ -111,7 +111,7 @@ class Comparison(ResultFile):
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"displacements": lambda: DISPLACEMENTS_TABLE.filled(d.row for d in self.displacements)}
+        return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.row for d in self.displacements)}
 
     @property
     def moved_points(self) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ def _compare_epochs(
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
+            _align_epochs(first, second.with_order(order, len(axes)), scaled, stable, axes), held, level, sources
         )
         notes = [*notes, exchanged_names_sentence(first.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
@@ -164,7 +164,7 @@ class _Epoch:
             common, coordinates.points[at], coordinates.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free
         )
 
-    def reordered(self, order: Ints, axes: int) -> Self:
+    def with_order(self, order: Ints, axes: int) -> Self:
         """Epoch in which point i has the position of point `order[i]`."""
         rows = coordinate_rows(order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]

@@ -81,7 +81,7 @@ class Task(TomlSection):
     """Tolerance limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_targets(self) -> Self:
         wanted = N_TARGETS_BY_KIND.get(self.kind)
         if wanted is not None and len(self.targets) != wanted:
             raise ValueError(f"it should name {wanted} targets for a {self.kind}")

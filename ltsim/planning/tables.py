@@ -142,7 +142,7 @@ PLAN_TABLES = (
 def make_visibility_table(layout: LayoutEvaluation) -> Table:
     """Table `visibility.csv`: every pair of station and target."""
     words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
-    return VISIBILITY_TABLE.filled(
+    return VISIBILITY_TABLE.with_rows(
         [
             station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.ranges[s, t]) * 1e3, 1),
             round(float(table.elevations[s, t]) / DEGREE, 2), round(float(table.incidence_angles[s, t]) / DEGREE, 2),
@@ -155,7 +155,7 @@ def make_visibility_table(layout: LayoutEvaluation) -> Table:
 def make_work_order_table(plan: PlannedNetwork) -> Table:
     """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
     recording = plan.layout.survey.noise_free_recording(plan.layout.information.construction)
-    return WORK_ORDER_TABLE.filled(
+    return WORK_ORDER_TABLE.with_rows(
         [
             i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
             int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),

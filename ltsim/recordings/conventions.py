@@ -325,7 +325,7 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which a network uses only the distances."""
-    rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
+    rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
     where = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)

@@ -81,7 +81,7 @@ def declares_noise(recording: Recording) -> bool:
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NOT_MEASURED)
     for k, name in enumerate(SIGMA_COLUMNS):
         sigmas[:, k] = recording.covariates.get(name, NOT_MEASURED)
-    return bool(np.isfinite(sigmas[recording.measured]).all())
+    return bool(np.isfinite(sigmas[recording.is_measured]).all())
 
 
 def recording_of_pointings(

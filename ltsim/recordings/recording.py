@@ -153,14 +153,14 @@ class Recording(Result):
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
-    def measured(self) -> Bools:
+    def is_measured(self) -> Bools:
         """Flags (n, 3) of the readings that exist."""
         return np.isfinite(self.readings)
 
     @property
     def usable(self) -> Bools:
         """Flags (n, 3) of the readings that a network uses: measured, and no angle of a `vertical` pointing."""
-        return self.measured & ~(self.vertical[:, None] & [False, True, True])
+        return self.is_measured & ~(self.vertical[:, None] & [False, True, True])
 
     @property
     def vertical(self) -> Bools:

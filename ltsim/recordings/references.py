@@ -147,7 +147,7 @@ def check_differences(recording: Recording, file: object) -> None:
             if places.get(name, last) == last and not _is_exact_mark(recording.target_setup(name), difference):
                 wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
                 message = f"'{quoted_text(name)}' was never measured, expected a mark that was, or one that is {wanted}"
-                raise SourceLocation(file, column=f"difference {difference.called}").error(message)
+                raise SourceLocation(file, column=f"difference {difference.label}").error(message)
 
 
 def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:

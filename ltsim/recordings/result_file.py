@@ -118,7 +118,7 @@ class SourceEntry(Entry):
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
         """Entry for a recording."""
-        when = {"measured": recording.setup.measured} if recording.setup.measured else {}
+        when = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **when)
 
     @classmethod

@@ -168,16 +168,16 @@ def _check_names(setup: Setup, file: object) -> None:
         if line.from_ == line.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
             raise where.error(f"a length from '{quoted_text(line.to)}' to itself, expected two different targets")
-    called = [difference.called for difference in setup.differences]
+    called = [difference.label for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
             raise where.error(
                 f"a difference from '{quoted_text(difference.to)}' to itself, expected two different marks"
             )
-        if difference.called in called[:i]:
+        if difference.label in called[:i]:
             raise where.error(
-                f"'{quoted_text(difference.called)}' is there already, expected a different name (key name)"
+                f"'{quoted_text(difference.label)}' is there already, expected a different name (key name)"
             )
 
 

@@ -113,14 +113,14 @@ class Specification(TomlSection):
             noise=Noise(
                 distance_mm=sigma * self.range_um * (1.0 if has_offset else noise) * MICROMETRE / MILLIMETRE,
                 distance_ppm=sigma * self.range_um_per_m * noise,
-                azimuth_arcsec=_at_least_min_sigma(angle * noise),
-                elevation_arcsec=_at_least_min_sigma(angle * noise),
+                azimuth_arcsec=_clip_to_min_sigma(angle * noise),
+                elevation_arcsec=_clip_to_min_sigma(angle * noise),
             ),
             prior=Prior(
-                range_scale_ppm=_at_least_min_sigma(sigma * self.range_um_per_m * rest),
-                range_offset_mm=_at_least_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
-                angle_arcsec=_at_least_min_sigma(angle * rest / np.sqrt(2.0)),
-                offset_mm=_at_least_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_um_per_m * rest),
+                range_offset_mm=_clip_to_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
+                angle_arcsec=_clip_to_min_sigma(angle * rest / np.sqrt(2.0)),
+                offset_mm=_clip_to_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
             ),
         )
 
@@ -134,7 +134,7 @@ class Specification(TomlSection):
         )
 
 
-def _at_least_min_sigma(sigma: float) -> float:
+def _clip_to_min_sigma(sigma: float) -> float:
     return max(float(sigma), 1e-6)
 
 

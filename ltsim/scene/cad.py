@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import SetupError, installed
+from ltsim.core.errors import SetupError, is_installed
 from ltsim.core.limits import CAD_BYTES, MIB
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
@@ -133,7 +133,7 @@ def _triangles_in_file_units(path: Path, factor: float) -> Floats:
     Those of a CAD model with exact surfaces in metres.
     """
     suffix = path.suffix.lower()
-    if suffix in EXACT_SUFFIXES and not installed("cascadio"):
+    if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
         raise SetupError(
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"

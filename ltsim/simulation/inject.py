@@ -149,7 +149,7 @@ class DetectionCurve(Result):
         ]
 
     def _tables(self) -> dict[str, Any]:
-        return {"curve": lambda: DETECTION_CURVE_TABLE.filled(self.rows)}
+        return {"curve": lambda: DETECTION_CURVE_TABLE.with_rows(self.rows)}
 
 
 @dataclass(frozen=True, eq=False)

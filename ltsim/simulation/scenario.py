@@ -167,10 +167,8 @@ def _file_value(value: Any, *, effects: bool) -> Any:
     if not isinstance(value, (list, tuple)):
         return value
     given = [make_effect(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
-    return [
-        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | SizedEffect) else v
-        for v in given
-    ]
+    entries = (EffectEntry.from_effect(v) if isinstance(v, Effect | SizedEffect) else v for v in given)
+    return [e.model_dump(mode="json", exclude_defaults=True) if isinstance(e, EffectEntry) else e for e in entries]
 
 
 def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:

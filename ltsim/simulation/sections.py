@@ -391,7 +391,7 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def of(cls, given: Effect | SizedEffect) -> Self:
+    def from_effect(cls, given: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
         effect, sizes = (given.effect, dict(given.parameter_values)) if isinstance(given, SizedEffect) else (given, {})
         places = {"stations": effect.stations, "targets": effect.targets}

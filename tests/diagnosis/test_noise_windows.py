@@ -63,7 +63,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     residual = with_angular_noise(space, noisy, 4.0, stream(2, "compressor"))
     best = most_probable(space, residual)
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
-    assert (best.effect.in_band(space.sightings) == noisy).mean() > 0.95
+    assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
     fitted = most_likely(replace(space, residuals=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.values[0]) < 5.5
 

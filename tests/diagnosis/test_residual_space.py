@@ -41,7 +41,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
         law("elevation", scalar_regressor("time", "power")),
         law("elevation", scalar_regressor("distance", "power", 2.0)),
     )
-    extended = space.augmented(space.whitened_signature(first))
+    extended = space.with_signatures(space.whitened_signature(first))
     signature = space.whitened_signature(second)
     columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])

@@ -243,7 +243,7 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses = np.array([s.sigma_position for s in found.stations[1:]])
         sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
-        predicted = np.einsum("tii->", found.adjustment.in_inner_datum().target_covariance) / len(points)
+        predicted = np.einsum("tii->", found.adjustment.with_inner_datum().target_covariance) / len(points)
         inner.append(target_error(found.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 

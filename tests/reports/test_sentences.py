@@ -52,7 +52,11 @@ def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> Non
 
 def prose(section: Section) -> list[str]:
     """Everything on a section that a person reads: answer, actions, notes, captions, cells."""
-    return [section.text(), *section.actions, *(getattr(block, "caption", "") for block in section.blocks)]
+    return [
+        section.terminal_text(),
+        *section.next_actions,
+        *(getattr(block, "caption", "") for block in section.blocks),
+    ]
 
 
 def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) -> None:

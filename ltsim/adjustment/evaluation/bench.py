@@ -120,7 +120,7 @@ class BenchFile(ResultFile):
         return lines
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"angles": lambda: ANGLES_TABLE.filled(self.angles)}
+        return {"angles": lambda: ANGLES_TABLE.with_rows(self.angles)}
 
 
 @dataclass(frozen=True)

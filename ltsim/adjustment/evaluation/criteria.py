@@ -136,7 +136,7 @@ class CriteriaEntry(Entry):
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
                 rows.append([name, *sizes, criterion.improvement_percent])
-        return CRITERIA_TABLE.filled(rows)
+        return CRITERIA_TABLE.with_rows(rows)
 
 
 class Criteria(ResultFile, CriteriaEntry):

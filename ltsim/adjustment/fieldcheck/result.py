@@ -171,7 +171,7 @@ class Check(ResultFile):
         return [self.sentence]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"items": lambda: ITEMS_TABLE.filled(self.items), "two_face": self._two_face_table}
+        return {"items": lambda: ITEMS_TABLE.with_rows(self.items), "two_face": self._two_face_table}
 
     def _two_face_table(self) -> Table:
         """Table of half two-face differences with their limits, one row per pair."""
@@ -187,7 +187,7 @@ class Check(ResultFile):
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
-        return TWO_FACE_TABLE.filled(rows)
+        return TWO_FACE_TABLE.with_rows(rows)
 
 
 def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:

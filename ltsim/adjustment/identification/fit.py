@@ -253,7 +253,7 @@ class NetworkFit:
     @cached_property
     def adjustment(self) -> Adjustment:
         """Adjustment with the state and readings of the fit."""
-        out = self.recording.measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
+        out = self.recording.is_measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property

@@ -63,7 +63,7 @@ class ReadingShift(Signature):
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at a value; distances with a scale error change in proportion to their change."""
         design = self.design(sightings)
         if not self.is_proportional:

@@ -91,7 +91,7 @@ class PlannedNetwork:
         when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
         when = when if when.ndim else when + step * np.arange(count)
         last = int(np.argmax(recording.time))
-        flat = "horizontal" if recording.is_horizontal[recording.measured[:, 0]].all() else ""
+        flat = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
 
         def joined(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
             return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
@@ -114,7 +114,7 @@ class PlannedNetwork:
         )
         predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
         reads = np.array(
-            [recording.measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+            [recording.is_measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
         )
         predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
         return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))

@@ -38,9 +38,10 @@ ROUNDING = 1e-9
 """Gain, and difference of gains, that rounding may produce."""
 TIE = 1e-6
 """Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
-MOST_SWEEPS = 200
-SMALLEST_ANGLE = 1e-13
-"""Largest number of sweeps of planar rotations, and largest angle [rad] of a sweep after which they have converged."""
+MAX_ROTATION_SWEEPS = 200
+"""Largest number of sweeps of planar rotations."""
+MIN_ROTATION_ANGLE = 1e-13
+"""Largest angle [rad] of a sweep after which they have converged."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
     Kaiser, The varimax criterion, Psychometrika 23 (1958) 187.
     """
     columns = list(_basis_of_span(vectors).T)
-    for _ in range(MOST_SWEEPS):
+    for _ in range(MAX_ROTATION_SWEEPS):
         largest = 0.0
         for i, j in combinations(range(len(columns)), 2):
             x, y = columns[i], columns[j]
@@ -115,7 +116,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
                     np.cos(angle) * y - np.sin(angle) * x,
                 )
                 largest = max(largest, abs(angle))
-        if largest < SMALLEST_ANGLE:
+        if largest < MIN_ROTATION_ANGLE:
             break
     return np.array(columns).reshape(-1, len(vectors)).T
 

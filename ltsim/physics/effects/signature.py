@@ -150,7 +150,7 @@ class Signature(Protocol):
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         return self.design(sightings) @ values
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at parameter values (p,) [SI], with its derivatives."""
         return Linearisation(self.reading_change(sightings, values), self.design(sightings))
 

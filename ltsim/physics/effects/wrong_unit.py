@@ -49,14 +49,14 @@ class WrongUnit(Blunder):
         return UNIT_ERRORS_BY_NAME[self.mistake]
 
     @classmethod
-    def at_station(cls, station: str) -> list[Self]:
+    def blunders_at_station(cls, station: str) -> list[Self]:
         """Blunders of every unit and convention at one station."""
         return [cls((station,), mistake=name) for name in UNIT_ERRORS_BY_NAME]
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every unit and convention at every station."""
-        return [effect for name in sightings.station_names for effect in cls.at_station(name)]
+        return [effect for name in sightings.station_names for effect in cls.blunders_at_station(name)]
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) in the wrong unit."""

@@ -20,7 +20,7 @@ from ltsim.physics.laws.columns import (
     group_means,
     has_natural_zero,
     indicator_columns,
-    lagged,
+    lagged_values,
     linear_field_columns,
     scaled_to_unit_rms,
     smooth_curve_columns,
@@ -171,7 +171,7 @@ class Regressor:
             case "switch":
                 edges = [factor.constant for factor in self.factors]
                 on = np.searchsorted(edges, sightings.quantities[name]) % 2
-                values = lagged(on.astype(np.float64), sightings, self.constant) if self.constant else on
+                values = lagged_values(on.astype(np.float64), sightings, self.constant) if self.constant else on
                 return scaled_to_unit_rms(values.astype(np.float64)[:, None])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])

@@ -127,9 +127,9 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
     """Differences with a number where several join the same points, such as a line that was levelled twice."""
     before: Counter[str] = Counter()
     for difference in differences:
-        number = before[difference.called]
-        before[difference.called] += 1
-        yield difference.model_copy(update={"name": numbered_name(difference.called, number)}) if number else difference
+        number = before[difference.label]
+        before[difference.label] += 1
+        yield difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
 
 
 MAX_CORRELATED_OBSERVATIONS = 500

@@ -111,7 +111,7 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 def _first_cloud(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] of the targets that the first set-up measured completely, in its frame."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
-    rows = np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1))
+    rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in rows}
 
 
@@ -161,5 +161,5 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
             numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
-            message = f"the difference {difference.called} is given along {difference.known_axes}, expected z or xyz"
+            message = f"the difference {difference.label} is given along {difference.known_axes}, expected z or xyz"
             raise RecordError(f"{message}: gama-local has only these", file=path)

@@ -36,7 +36,7 @@ class _GsiLine:
     where: SourceLocation
 
     @classmethod
-    def of(cls, line: str, where: SourceLocation) -> _GsiLine:
+    def from_line(cls, line: str, where: SourceLocation) -> _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
@@ -105,7 +105,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     before = _GsiLine({}, SourceLocation(path))
     for i, line in enumerate(lines):
         if line.strip():
-            block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
+            block = _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
                 raise block.where.error("the last line has no line break and is incomplete")
             _process_block(block, file)

@@ -42,7 +42,7 @@ class _Dialect:
     north_first: bool
 
     @classmethod
-    def of(cls, header: str, where: SourceLocation) -> "_Dialect":
+    def from_header(cls, header: str, where: SourceLocation) -> "_Dialect":
         match = _HEADER_PATTERN.match(header)
         if match is None:
             raise where.error(
@@ -77,7 +77,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     book = FieldBook(path)
     lines = read_lines(path, liberal=True)
-    dialect = _Dialect.of(lines[0], SourceLocation(path, 1))
+    dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
     height, from_horizon, skipped = NOT_MEASURED, False, 0
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]

@@ -85,13 +85,13 @@ class RunReader:
         padded = [fields if len(fields) == width else _pad_cells(fields, width) for fields in run.fields]
         table = list(zip(*padded, strict=True))
         if self.faces == (0,):
-            return self._of_face(0, run, table)
-        both = join_pointings([self._of_face(face, run, table) for face in self.faces])
+            return self._pointings_of_face(0, run, table)
+        both = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
         angles = both.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
         return both.take(by_row[angles[by_row]].tolist())
 
-    def _of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
+    def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
         """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.position] for c in reversed(columns) if c.role}

@@ -97,7 +97,7 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
         grown = remedy.network.recording
         assert grown.time[count:].min() > (last if k < len(later) else grown.time[0])
         assert remedy.duration >= (len(grown) - count) * 15 - 1
-        assert grown.measured[count:].all()
+        assert grown.is_measured[count:].all()
         assert np.array_equal(grown.readings[:count], network.recording.readings, equal_nan=True)
 
 
