@@ -29,7 +29,7 @@ MAX_CORRECTED_DISTANCE = 1e-3
 """Largest distance [m] of a corrected pointing from its target."""
 MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
 """Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
-MAX_LISTED_ROWS = 6
+MAX_ROWS_IN_BLUNDER_TEXT = 6
 """Largest number of rows that a sentence lists."""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
@@ -117,7 +117,7 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
+            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
@@ -155,7 +155,7 @@ def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlu
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
-        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
+        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "

@@ -22,7 +22,7 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 """Column of a recording with the day of each pointing."""
-DAY_LENGTH = 86_400.0
+DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
 MAX_CENTRING_ERRORS = 6
 """Largest number of estimated centring errors: a network with more has to be measured again."""
@@ -104,9 +104,9 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
-    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH:
+    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
         return ()
-    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH)
+    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
 def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:

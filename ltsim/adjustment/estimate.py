@@ -25,7 +25,7 @@ from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, 
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
-from ltsim.core.limits import ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.rigid import rigid_motion_design
@@ -107,7 +107,7 @@ def adjust(
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
-    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     built, copied = construction or ideal_construction(), is_copied_row(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
@@ -226,7 +226,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
 
 MIN_GROSS_MISCLOSURE = 2e-3
 """Misclosure [m] in the axes of most points above which a point starts outside the datum."""
-MIN_GROSS_MISCLOSURE_RATIO = 10.0
+MIN_DATUM_EXCLUSION_RATIO = 10.0
 """Ratio of a misclosure to the median above which a point starts outside the datum."""
 EXCLUSION_LEVEL = 0.02
 """Significance level: probability that any point of an error-free set is excluded."""
@@ -245,7 +245,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
     here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
     off = alignment_distances(here, declared, align_robustly(here, declared))
-    use = off <= max(MIN_GROSS_MISCLOSURE_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
+    use = off <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
         tests = _axes_tests(adjustment, names, declared, use)

@@ -333,11 +333,11 @@ class StationTargetPairs:
     def __len__(self) -> int:
         return len(self.station_indices)
 
-    def of_station(self, station: int) -> slice:
+    def slice_of_station(self, station: int) -> slice:
         """Slice of the pairs of a station."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
-    def of_rows(self, recording: Recording, values: Floats) -> Floats:
+    def values_by_pair(self, recording: Recording, values: Floats) -> Floats:
         """Values (m, 3) of each pair from those of the rows (n, 3), by its last row."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices

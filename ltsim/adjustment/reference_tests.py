@@ -363,11 +363,11 @@ def _largest_error(
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
-    def unlikely(drop: float, rank: int, looks: int) -> float:
+    def neg_log_corrected_p(drop: float, rank: int, looks: int) -> float:
         return float(neg_log_p_chi2(drop, rank)) - float(np.log(looks))
 
     count = len(list(reference_values(problem, solution.x)))
-    chances = [unlikely(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
+    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
@@ -375,7 +375,7 @@ def _largest_error(
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
-    if unlikely(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+    if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
         likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(MIN_LIKELIHOOD_RATIO)]
         if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.

@@ -69,7 +69,7 @@ class NetworkInitialiser:
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = pairs.of_rows(recording, self._readings.reflector_offsets)
+        self._pair_offsets = pairs.values_by_pair(recording, self._readings.reflector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
@@ -131,7 +131,7 @@ class NetworkInitialiser:
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
-        pairs = self._pairs.of_station(station)
+        pairs = self._pairs.slice_of_station(station)
         self._pair_points[pairs] = self._pairs.local_points[pairs] @ rotation.T + position - self._pair_offsets[pairs]
         self._is_covered[self._pairs.target_indices[pairs]] = True
         mark = self._frame.marks.target_indices[station]
@@ -148,7 +148,7 @@ class NetworkInitialiser:
                 return False
             if shared[station] < 3 and not level:
                 continue
-            pairs = np.arange(len(self._pairs))[self._pairs.of_station(station)]
+            pairs = np.arange(len(self._pairs))[self._pairs.slice_of_station(station)]
             pairs = pairs[have[self._pairs.target_indices[pairs]]]
             goal = self._targets_with_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
             fit = align_robustly if shared[station] >= 3 else upright_alignment
@@ -390,7 +390,7 @@ class NetworkInitialiser:
         """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
-        targets = self._pairs.target_indices[self._pairs.of_station(nearest)]
+        targets = self._pairs.target_indices[self._pairs.slice_of_station(nearest)]
         shared = points[targets[self._has_coordinates[targets]]]
         require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines)
         require_located_target(self._recording, self._has_coordinates)

@@ -111,17 +111,17 @@ def arrays_from_file_rows(
     at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
     factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
 
-    def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
+    def with_file_values(default: Floats, cells: Sequence[float | None]) -> Floats:
         """The default [SI], replaced by the values of the file."""
         merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
         merged[at] = np.where(np.isnan(given), default[at], given)
         return merged
 
     nominal = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    values = filled(np.zeros(len(place)), [row.value for row in rows])
-    prior = filled(nominal, [row.prior_sigma for row in rows])
-    applied = filled(values, [row.applied for row in rows])
-    merged = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
+    values = with_file_values(np.zeros(len(place)), [row.value for row in rows])
+    prior = with_file_values(nominal, [row.prior_sigma for row in rows])
+    applied = with_file_values(values, [row.applied for row in rows])
+    merged = np.diag(with_file_values(prior, [row.sigma for row in rows]) ** 2)
     if len(covariance):
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)

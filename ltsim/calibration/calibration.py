@@ -21,7 +21,7 @@ from ltsim.calibration.schema import (
     OUTLIERS_TABLE,
     PARAMETERS_TABLE,
     REFERENCE_VALUES_TABLE,
-    REFLECTORS_TABLE,
+    REFLECTOR_INCIDENCE_TABLE,
     STATIONS_TABLE,
     AxesEntry,
     FitEntry,
@@ -298,7 +298,7 @@ class Calibration(UncertaintyEntry, ResultFile):
             "outliers": lambda: OUTLIERS_TABLE.with_rows(self.outliers),
             "noise": lambda: NOISE_TABLE.with_rows(self.noise),
             "reference_values": lambda: REFERENCE_VALUES_TABLE.with_rows(self.reference_values),
-            "reflectors": lambda: REFLECTORS_TABLE.with_rows(
+            "reflectors": lambda: REFLECTOR_INCIDENCE_TABLE.with_rows(
                 [entry.reflector, p.name, p.value, p.sigma] for entry in self.reflectors for p in entry.parameters
             ),
         }

@@ -26,14 +26,14 @@ from ltsim.solve.absolute import solve_least_absolute
 
 MAX_GAUSS_NEWTON_STEPS = 30
 """Largest number of Gauss-Newton steps of the distance methods."""
-STEP_TOLERANCE = 1e-7
+DISTANCE_STEP_TOLERANCE = 1e-7
 """Largest change of an unknown, in prior sigmas, at which the iteration has converged."""
 MAX_EQUATION_9_STEPS = 60
 """Largest number of steps to the minimum of eq. 9 over all combinations."""
 EQUATION_9_TOLERANCE = 1e-9
 """Change of an unknown (in prior sigmas) or relative change of the objective at which the iteration to the minimum of
 eq. 9 has converged."""
-MIN_RELATIVE_SINGULAR_VALUE = 1e-9
+MIN_DISTANCE_SINGULAR_VALUE = 1e-9
 """Singular value, relative to the largest, below which a combination changes no compared distance (rounding)."""
 
 ObjectiveNorm = Literal["squares", "absolute"]
@@ -126,13 +126,13 @@ def solve_distances(
     _require_compared_distances(rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(rows, free)
     moved, iterations = np.inf, 0
-    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < STEP_TOLERANCE:
+    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < DISTANCE_STEP_TOLERANCE:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
         step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < STEP_TOLERANCE)
+    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < DISTANCE_STEP_TOLERANCE)
 
 
 def solve_equation_9(
@@ -227,7 +227,7 @@ def _split_observable_combinations(rows: ComparedDistances, free: Bools) -> tupl
     _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free], full_matrices=False)
     vectors = np.zeros((len(free), len(right_vectors)))
     vectors[free] = right_vectors.T
-    nonzero = strength > MIN_RELATIVE_SINGULAR_VALUE * strength[0]
+    nonzero = strength > MIN_DISTANCE_SINGULAR_VALUE * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
 

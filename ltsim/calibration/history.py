@@ -47,7 +47,7 @@ class HistoryCalibration(Entry):
     """Agreement of readings and model."""
 
 
-CHANGES_TABLE = Table(
+INSTRUMENT_CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
@@ -183,7 +183,7 @@ class History(ResultFile):
     def _changes_table(self) -> Table:
         """Changes from each calibration to the next, and from the first to the last."""
         every = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
-        return CHANGES_TABLE.with_rows(
+        return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
                 c.from_,
                 c.to,

@@ -29,7 +29,7 @@ from ltsim.calibration.reported import uncertainty_factor, with_reported_uncerta
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
-from ltsim.core.limits import CALIBRATED_POINTINGS
+from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import name_tuple
@@ -67,7 +67,7 @@ def calibrate_network(
     extra_effects : sequence of RequestedEffect
         Effects of the catalogue, and laws, to estimate too.
     """
-    recording.require_at_most(CALIBRATED_POINTINGS, "a calibration")
+    recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:

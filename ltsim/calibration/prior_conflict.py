@@ -60,7 +60,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     common = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
     ways = np.concatenate([np.eye(rejected.size)[free], common])[:, free]
 
-    def beyond(others: Collection[int]) -> Floats:
+    def log_odds_given(others: Collection[int]) -> Floats:
         """Log odds (h,) of each change given others, to 0.1 so that of equivalent changes the first is selected."""
         given = WIDENED_SIGMA_FACTOR * ways[list(others)]
         score, weight = score_test(
@@ -72,7 +72,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
-    chosen = [k for k, odds in forward_select(beyond, 0.0).items() if odds[k] > 0.0]
+    chosen = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
     rejected.flat[free] = ways[chosen].any(axis=0)
     return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
 

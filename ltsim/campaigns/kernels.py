@@ -13,9 +13,9 @@ from ltsim.campaigns.compiled import compile_function, compile_inlined, trial_va
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Floats, Ints
 
-STEP_TOLERANCE = 1e-9
+NEWTON_STEP_TOLERANCE = 1e-9
 """Step [m, rad] of Newton's method below which it ends; the remaining error is smaller by a factor of 1e-4."""
-MAX_NEWTON_STEPS = 8
+MAX_BATCH_NEWTON_STEPS = 8
 """Largest number of Newton steps of an inversion."""
 
 
@@ -199,7 +199,7 @@ def compute_readings(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
-        for _ in range(MAX_NEWTON_STEPS):
+        for _ in range(MAX_BATCH_NEWTON_STEPS):
             _motion_amounts(i, chain, deviation[i], parameters, moved)
             _forward_chain(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
@@ -216,7 +216,7 @@ def compute_readings(
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
-            if not largest > STEP_TOLERANCE:
+            if not largest > NEWTON_STEP_TOLERANCE:
                 break
 
 

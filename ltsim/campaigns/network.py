@@ -33,7 +33,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_from_cholesky
 from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-MAX_STEPS = 8
+MAX_NETWORK_STEPS = 8
 """Largest number of Gauss-Newton steps of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
@@ -279,7 +279,7 @@ class BatchNetwork:
         x, predicted = self._first_step(deviation, gauge_error)
         before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        for _ in range(2, MAX_STEPS + 1):
+        for _ in range(2, MAX_NETWORK_STEPS + 1):
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.step(gradient)
             x += step

@@ -28,7 +28,7 @@ from pydantic import Field, PrivateAttr
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
-    PARAMETERS_TABLE,
+    RECOVERED_PARAMETERS_TABLE,
     TRIALS_TABLE,
     FailedTrial,
     RecoveredParameter,
@@ -126,7 +126,7 @@ class Recovery(ResultFile):
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "checks": lambda: CHECKS_TABLE.with_rows(self.checks),
-            "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
+            "parameters": lambda: RECOVERED_PARAMETERS_TABLE.with_rows(self.parameters),
             "trials": lambda: TRIALS_TABLE.with_rows(self.arrays.trial_rows()),
         }
 

@@ -54,7 +54,7 @@ class CampaignResults(CampaignStatistics, Result):
         ModelError
             When there is no such statistic, method, factor or level.
         """
-        self._quoted(statistic)
+        self._sql_column(statistic)
         return paired_differences(self, statistic, **between)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
@@ -81,7 +81,7 @@ class CampaignResults(CampaignStatistics, Result):
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
-        quoted = [self._quoted(column) for column in columns]
+        quoted = [self._sql_column(column) for column in columns]
         where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
         name = getattr(function, "__name__", type(function).__name__)
         spreads = []

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.recordings import Recording
 
-MIN_REPORTED_CHANGE = 0.005
+MIN_REPORTED_READING_CHANGE = 0.005
 """Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
@@ -114,7 +114,9 @@ def correct(
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
     applied = f"{len(recording)} pointings corrected by {sizes}"
     terminal.print_text(
-        applied if np.any(largest >= MIN_REPORTED_CHANGE) else "no correction was applied: the readings do not change"
+        applied
+        if np.any(largest >= MIN_REPORTED_READING_CHANGE)
+        else "no correction was applied: the readings do not change"
     )
     terminal.print_text(f"written to {out}")
 
@@ -295,13 +297,13 @@ def history(
     with terminal.show_progress("calibrating"):
         content = lt.history(opened, **options)
 
-    def drawn() -> dict[str, str]:
+    def history_picture() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg_text
 
         return {"history.svg": svg_text(history_figure(content.labels, content.determined_parameters))}
 
-    written = terminal.write_result(content, drawn)
+    written = terminal.write_result(content, history_picture)
     terminal.print_result(written)
     return 1 if fail_on_change and result_section(content).assessment == "bad" else 0
 

@@ -90,15 +90,15 @@ def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
                 "name": s.name,
                 "unit": s.unit,
                 "meaning": s.description,
-                "low": _in_display_unit(s.lower_bound, s),
-                "high": _in_display_unit(s.upper_bound, s),
+                "low": _to_display_unit(s.lower_bound, s),
+                "high": _to_display_unit(s.upper_bound, s),
             }
             for s in effect.shape_parameters
         ],
     }
 
 
-def _in_display_unit(value: float, shape_parameter: ShapeParameter) -> float:
+def _to_display_unit(value: float, shape_parameter: ShapeParameter) -> float:
     return value / SI_PER_UNIT[shape_parameter.unit]
 
 
@@ -128,7 +128,7 @@ def catalogue_entry_text(effect: type[Effect]) -> str:
         rows = [
             [
                 s.name,
-                f"{_in_display_unit(s.lower_bound, s):.4g} to {_in_display_unit(s.upper_bound, s):.4g}",
+                f"{_to_display_unit(s.lower_bound, s):.4g} to {_to_display_unit(s.upper_bound, s):.4g}",
                 s.unit,
                 s.description,
             ]

@@ -90,7 +90,7 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
-MAX_NAME_LENGTH = 60
+MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
 _SPELLING = {"flags": False}
 FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
@@ -141,6 +141,6 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the closest valid ones."""
     choices = sorted(valid)
-    short = printable(name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}...")
+    short = printable(name if len(name) <= MAX_QUOTED_NAME_LENGTH else f"{name[:MAX_QUOTED_NAME_LENGTH]}...")
     close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {kind} called '{short}'; did you mean {', '.join(close)}?")

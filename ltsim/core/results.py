@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import descriptions
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
-from ltsim.core.limits import LINES
+from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_text
@@ -247,8 +247,8 @@ class Table(ValueEquality):
         RecordError
             When a column is missing or a cell holds no number where one should be.
         """
-        if text.count("\n") > LINES:
-            raise RecordError(f"has more than {LINES} lines, the limit for reading", file=file)
+        if text.count("\n") > MAX_TEXT_LINES:
+            raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=file)
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())

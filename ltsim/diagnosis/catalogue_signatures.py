@@ -17,7 +17,7 @@ from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
 from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.null_ensemble import NullEnsemble, square
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.places import instrument_places
@@ -32,7 +32,7 @@ are weighted at a time.
 """
 
 
-ORDINARY = {type(effect) for effect in BASELINE}
+ORDINARY = {type(effect) for effect in BASELINE_EFFECTS}
 """Effects of the ordinary calibration, which are always estimated; as hypotheses they mean a value
 beyond their prior.
 """

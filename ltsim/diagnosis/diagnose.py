@@ -15,7 +15,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import DIAGNOSED_POINTINGS
+from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.averaging import averaged
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
@@ -96,7 +96,7 @@ def diagnose(
     """
     if not LEAST_LEVEL <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
-    recording.require_at_most(DIAGNOSED_POINTINGS, "a diagnosis")
+    recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions

@@ -23,7 +23,7 @@ from ltsim.diagnosis.prior import SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, catalogue_sentence, law_sentence, outside_sentence, without_clock
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -42,7 +42,7 @@ FEW_READINGS, MOSTLY = 4, 0.8
 """Largest number of listed readings, and fraction of the chi-square decrease that they must have together."""
 SURE = 2.0
 """A size is significant if it exceeds this many standard deviations (two-sided 5 %)."""
-BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
+BASELINE_KINDS = tuple(type(effect) for effect in BASELINE_EFFECTS)
 """Effects of the ordinary calibration, which are findings only if they exceed their prior."""
 IMPLAUSIBLE = 5.0
 """Multiple of a large but plausible size that an implausible size exceeds by two standard deviations."""

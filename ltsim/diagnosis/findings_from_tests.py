@@ -12,7 +12,7 @@ from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
 from ltsim.diagnosis.words import parameter_words, percent
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -87,7 +87,7 @@ def instrument_finding(contradiction: Contradiction) -> Finding:
 
 def _effect_of(constant: Parameter) -> str:
     """Effect of the ordinary calibration to which a constant belongs."""
-    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
+    return next(e.name for e in BASELINE_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
 EFFECTS = {

@@ -36,7 +36,7 @@ DISPLACEMENTS_TABLE = Table(
         *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
     ),
 )
-MAX_LISTED_POINTS = 6
+MAX_POINTS_IN_RESULT_TEXT = 6
 """Largest number of points that a sentence lists."""
 ELLIPSOID_COVERAGE = 0.95
 """Coverage probability of the error ellipsoids."""
@@ -283,5 +283,5 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_LISTED_POINTS)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_POINTS_IN_RESULT_TEXT)
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

@@ -128,7 +128,7 @@ def compare(
     if free:
         raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
-    def adjusted(recording: Recording) -> Adjustment:
+    def adjust_epoch(recording: Recording) -> Adjustment:
         adjustment = adjust(
             recording, declared_construction(recording) if calibrate else ideal_construction(), robust=robust
         )
@@ -136,7 +136,7 @@ def compare(
         return adjustment
 
     epochs = [
-        adjusted(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
+        adjust_epoch(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
     ]
     return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
 

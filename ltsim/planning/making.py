@@ -319,7 +319,7 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     if reachable >= site.min_sights:
         return file
 
-    def refused(least: int) -> SetupError | None:
+    def layout_error(least: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
         searcher = LayoutSearcher(site.replace(min_sights=least), grid_step=step, n_yaws=1, n_heights=settings.heights)
         try:
@@ -329,10 +329,10 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return None
 
     if not file.requires_sights and reachable:
-        while reachable > 1 and refused(reachable):
+        while reachable > 1 and layout_error(reachable):
             reachable -= 1
         return file.with_min_stations(reachable)
-    problem = refused(site.min_sights)
+    problem = layout_error(site.min_sights)
     if problem is None:
         return file
     if not reachable:

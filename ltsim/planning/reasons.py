@@ -21,7 +21,7 @@ from ltsim.planning.planner import (
     TradeoffPoint,
     objective_and_qualities,
 )
-from ltsim.planning.site import MAX_LISTED_NAMES, broken_rules_text, is_too_near
+from ltsim.planning.site import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
 from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import layout_objective
 
@@ -260,8 +260,8 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
         depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.target_points) - survey.target_points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MAX_LISTED_NAMES)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
-                "within the tolerance of its mesh, and are treated as on its surface."
+                f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
+                "body, within the tolerance of its mesh, and are treated as on its surface."
             )
     lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
     if lost:

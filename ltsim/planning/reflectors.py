@@ -19,7 +19,7 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.visibility import aim_nest_normals
 
-MAX_SWEEPS = 8
+MAX_REFLECTOR_SWEEPS = 8
 """Largest number of rounds of exchanges."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
 """Distance [m] within which a candidate place equals the present place of a reflector."""
@@ -246,7 +246,7 @@ def _exchange_places(
     total = table.normal_matrix(chosen)
     value = float(table.objective_values(total[None], chosen[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
-    for _ in range(MAX_SWEEPS):
+    for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
         for i in range(len(chosen)):
             others = np.delete(chosen, i)

@@ -136,13 +136,13 @@ class Plan(ResultFile, LayoutEntry):
         }
 
     def _stations_table(self) -> Table:
-        return tables.STATIONS_TABLE.with_rows(
+        return tables.PLANNED_STATIONS_TABLE.with_rows(
             [s.name, *s.position_mm, s.yaw_deg, *(s.sigma_position_um or 3 * (None,)), s.visible_reflectors]
             for s in self.stations
         )
 
     def _reflectors_table(self) -> Table:
-        return tables.REFLECTORS_TABLE.with_rows(
+        return tables.PLANNED_REFLECTORS_TABLE.with_rows(
             [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
              " ".join(r.visible_from)]
             for r in self.reflectors
@@ -163,7 +163,7 @@ class Plan(ResultFile, LayoutEntry):
 
     def _parameters_table(self) -> Table:
         reference = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
-        return tables.PARAMETERS_TABLE.with_rows(
+        return tables.PLANNED_PARAMETERS_TABLE.with_rows(
             [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
         )
 
@@ -177,7 +177,7 @@ class Plan(ResultFile, LayoutEntry):
         )
 
     def _changes_table(self) -> Table:
-        return tables.CHANGES_TABLE.with_rows(
+        return tables.REFLECTOR_CHANGES_TABLE.with_rows(
             [i, c.action_text, c.gain_um, 100 * (1 - c.quality), c.serves, 100 * (c.serves_factor - 1)]
             for i, c in enumerate(self.reflector_changes, 1)
         )

@@ -22,7 +22,7 @@ from ltsim.planning.site import SearchSpace, StationPlacement
 
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""
-MAX_SWEEPS = 12
+MAX_LAYOUT_SWEEPS = 12
 """Largest number of sweeps of exchanges."""
 MAX_RANDOM_LAYOUTS = 12
 """Largest number of random layouts that are drawn for one start."""
@@ -186,7 +186,7 @@ class LayoutSearcher:
 
     def exchange_on_grid(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
         """Layout after exchanges of stations for set-ups of the grid, until none improves it."""
-        for _ in range(MAX_SWEEPS):
+        for _ in range(MAX_LAYOUT_SWEEPS):
             before = value
             layout, value = self._exchange_sweep(layout, value, lambda _, slot: self.grid_setups(slot))
             if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
@@ -202,7 +202,7 @@ class LayoutSearcher:
         """
         reach = 0.5 * self.grid_step
 
-        def around(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
+        def neighbouring_setups(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
             """Set-ups near a station, with x, y, height and yaw changed separately and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.grid_step]
@@ -218,7 +218,7 @@ class LayoutSearcher:
 
         while reach > MIN_REFINEMENT_STEP:
             before = value
-            layout, value = self._exchange_sweep(layout, value, around)
+            layout, value = self._exchange_sweep(layout, value, neighbouring_setups)
             if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 reach *= 0.5
         return layout, value

@@ -33,7 +33,7 @@ MAX_NEST_AIMING_STEPS = 60
 """Largest number of steps of the iteration that aims a fixed nest."""
 NEST_ANGLE_MARGIN = 0.004
 """Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
-MAX_LISTED_NAMES = 8
+MAX_NAMES_IN_RULE_TEXT = 8
 """Largest number of names that a sentence lists."""
 N_PLACEMENT_DRAWS = 24
 """Number of random places that are tried for a station of a random placement."""
@@ -174,7 +174,7 @@ class SearchSpace(ValueEquality):
                 "is" if len(few) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MAX_LISTED_NAMES)
+            named = listing(few, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
@@ -191,7 +191,7 @@ class SearchSpace(ValueEquality):
                 if not ok
             ]
             if turned:
-                words = f"no fixed nest of {listing(turned, MAX_LISTED_NAMES)} returns the beam to all stations"
+                words = f"no fixed nest of {listing(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
@@ -219,16 +219,16 @@ class SearchSpace(ValueEquality):
         cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
-            cure = f"{listing(within, MAX_LISTED_NAMES)} {lie} inside an obstacle: move points or bodies"
+            cure = f"{listing(within, MAX_NAMES_IN_RULE_TEXT)} {lie} inside an obstacle: move points or bodies"
         return (
-            f"no place on the floor sees {listing(names, MAX_LISTED_NAMES)}, from heads at {low:g} to {high:g} "
+            f"no place on the floor sees {listing(names, MAX_NAMES_IN_RULE_TEXT)}, from heads at {low:g} to {high:g} "
             f"mm; {cure}"
         )
 
     def unseen_targets_text(self, placement: StationPlacement, chosen: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
         few = np.flatnonzero(placement.missing_sights(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MAX_LISTED_NAMES) if len(few) else ""
+        return listing([self.survey.target_names[t] for t in few], MAX_NAMES_IN_RULE_TEXT) if len(few) else ""
 
     def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""

@@ -33,7 +33,8 @@ LengthUnit = Literal["mm", "m"]
 StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
-ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+"""Units of angles that a hint can give."""
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
 """Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
@@ -101,7 +102,7 @@ def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
-    angles = ANGLE_UNITS if hints.angle is None else (hints.angle,)
+    angles = HINTED_ANGLE_UNITS if hints.angle is None else (hints.angle,)
     verticals = VERTICAL_KINDS if hints.vertical is None else (hints.vertical,)
     open_ = [
         (a, v)

@@ -40,7 +40,7 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 AXIS_NAMES = "xyz"
 MAX_ASYMMETRY = 1e-6
 """Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
-MIN_CORRELATION_EIGENVALUE = -1e-9
+MIN_ROUNDED_EIGENVALUE = -1e-9
 """Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate up to which a list without a unit is interpreted as metres."""
@@ -291,7 +291,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{quoted_text(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_ROUNDED_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch
 

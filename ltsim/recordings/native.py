@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import FIELDS
+from ltsim.core.limits import MAX_ROW_FIELDS
 from ltsim.core.results import guard_formula, unguard_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -104,8 +104,10 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
             if len(texts) < INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
-                if len(cells) > FIELDS:
-                    raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
+                if len(cells) > MAX_ROW_FIELDS:
+                    raise SourceLocation(path, len(rows)).error(
+                        f"{len(cells)} columns, expected at most {MAX_ROW_FIELDS}"
+                    )
                 rows.append(cells)
                 if len(cells) != len(rows[0]):
                     SheetRow(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)

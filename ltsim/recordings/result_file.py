@@ -28,7 +28,7 @@ from pydantic_core import CoreSchema
 
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import JSON_VALUES
+from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import MAX_MAGNITUDE, Result
 from ltsim.core.values import equal_values
 from ltsim.recordings.coordinates import EpochCoordinates
@@ -231,8 +231,8 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
     text = read_text(file)
-    if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
-        raise RecordError(f"holds more than {JSON_VALUES} values, the limit for reading", file=file)
+    if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
+        raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):

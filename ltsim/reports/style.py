@@ -34,9 +34,9 @@ INK_COLOUR = "#22272B"
 COLOUR_CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK_COLOUR)
 MARKERS = "osD^vP*X"
 """Markers, which distinguish lines in grey prints."""
-BEFORE_COLOUR = GREY
+COLOUR_BEFORE = GREY
 """Colour of values before a calibration."""
-AFTER_COLOUR = BLUE
+COLOUR_AFTER = BLUE
 """Colour of values after a calibration."""
 BAND_COLOUR = "#8A8F9440"
 """Colour of interval bands, transparent for light and dark pages."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError, is_installed
-from ltsim.core.limits import CAD_BYTES, MIB
+from ltsim.core.limits import MAX_CAD_BYTES, MIB
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
 from ltsim.scene.cad_process import EXACT_SUFFIXES, FACET_SUFFIXES, read_triangles
@@ -86,8 +86,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
     file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
-        if status.st_size > CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the limit for reading")
+        if status.st_size > MAX_CAD_BYTES:
+            raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // MIB} MiB, the limit for reading")
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None

@@ -41,7 +41,7 @@ AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Name of the temperature column of a simulated recording."""
 MIN_TARGETS = 3
 """Smallest number of targets, including those of the gauge."""
-MAX_LISTED_NAMES = 12
+MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
@@ -307,7 +307,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
 def unknown_name_sentence(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
     """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
-        listed = ", ".join([*existing][:MAX_LISTED_NAMES]) + (" ..." if len(existing) > MAX_LISTED_NAMES else "")
+        listed = ", ".join([*existing][:MAX_NAMES_IN_ERROR]) + (" ..." if len(existing) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{quoted_text(name)}', which is not one of {listed or none}"
 
 

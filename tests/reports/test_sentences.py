@@ -12,7 +12,7 @@ import pytest
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Misfit, Where
 from ltsim.diagnosis.words import catalogue_sentence, summarise
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.reports.document import ReportContext, Section
 from ltsim.reports.sections.diagnosis import diagnosis_section
 from tests.reports import samples
@@ -20,7 +20,7 @@ from tests.reports import samples
 KINDS = list(CATALOGUE)
 
 
-NAMES = {kind.name for kind in KINDS} | {p.name for effect in BASELINE for p in effect.parameters}
+NAMES = {kind.name for kind in KINDS} | {p.name for effect in BASELINE_EFFECTS for p in effect.parameters}
 KEYS = re.compile(r"\b(" + "|".join(key for key in sorted({*NAMES, "tilt-x"}) if "-" in key) + r")\b")
 """Keys of effects and parameters; one without a hyphen is a word."""
 

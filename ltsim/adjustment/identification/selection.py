@@ -26,7 +26,7 @@ from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.limits import ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
@@ -258,7 +258,7 @@ def identify_causes(
 
     NetworkError where it holds too many pointings.
     """
-    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select_causes(FitInput(recording, construction or declared_construction(recording), prior))
     except LtsimError:

@@ -34,9 +34,9 @@ MIN_WORTHWHILE_GAIN_INCREASE = 0.05
 """Smallest increase of a gain that is worth a measurement."""
 
 
-ROUNDING = 1e-9
+GAIN_ROUNDING_ERROR = 1e-9
 """Gain, and difference of gains, that rounding may produce."""
-TIE = 1e-6
+MAX_EQUAL_COEFFICIENT_DIFFERENCE = 1e-6
 """Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
 MAX_ROTATION_SWEEPS = 200
 """Largest number of sweeps of planar rotations."""
@@ -56,7 +56,7 @@ class ParameterCombination:
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by name, largest first; the largest is positive, the first of equally large ones."""
         size = np.abs(self.vector)
-        order = np.argsort(-np.round(size / TIE), kind="stable")
+        order = np.argsort(-np.round(size / MAX_EQUAL_COEFFICIENT_DIFFERENCE), kind="stable")
         sign = np.sign(self.vector[_first_of_largest(size)])
         return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
 
@@ -81,14 +81,14 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     vectors = np.concatenate([rotate_to_simple_structure(vectors[:, silent]), vectors[:, ~silent]], axis=1)
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
-    gain = np.where(gain < ROUNDING, 0.0, gain)
+    gain = np.where(gain < GAIN_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
-    return sorted(weak, key=lambda d: (round(d.gain / ROUNDING), _first_of_largest(np.abs(d.vector))))
+    return sorted(weak, key=lambda d: (round(d.gain / GAIN_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
 
 
 def _first_of_largest(sizes: Floats) -> int:
     """Index of the first of the largest sizes that are equal up to rounding."""
-    return int(np.flatnonzero(sizes >= (1.0 - TIE) * sizes.max())[0])
+    return int(np.flatnonzero(sizes >= (1.0 - MAX_EQUAL_COEFFICIENT_DIFFERENCE) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
@@ -109,7 +109,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
             u, v = x**2 - y**2, 2.0 * x * y
             sine = 2.0 * (u @ v - u.sum() * v.sum() / len(u))
             cosine = u @ u - v @ v - (u.sum() ** 2 - v.sum() ** 2) / len(u)
-            if np.hypot(sine, cosine) > ROUNDING:
+            if np.hypot(sine, cosine) > GAIN_ROUNDING_ERROR:
                 angle = 0.25 * np.arctan2(sine, cosine)
                 columns[i], columns[j] = (
                     np.cos(angle) * x + np.sin(angle) * y,

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import SlotTerm
@@ -135,7 +135,9 @@ _RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance"
 
 def constants_of_slot(slot: str) -> tuple[str, ...]:
     """Constants of the ordinary calibration that act on a slot of the chain."""
-    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot))
+    return tuple(
+        p.name for e in BASELINE_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
+    )
 
 
 VARIED_CONSTANTS = (

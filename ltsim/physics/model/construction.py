@@ -15,7 +15,7 @@ from ltsim.geometry.kinematics.dh import DH_CHAIN
 from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
 from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR_CHAIN
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
@@ -183,7 +183,7 @@ class Construction:
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
+def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> Construction:
     """Geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
     chosen = tuple(effects)
     return Construction(

@@ -17,7 +17,8 @@ from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target, Vector, symmetric_matrix
 
-ALL_AXES = "http://www.gnu.org/software/gama/gama-local"
+GAMA_XML_NAMESPACE = "http://www.gnu.org/software/gama/gama-local"
+"""XML namespace of an input file of gama-local."""
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -39,7 +40,7 @@ def write(recording: Recording, path: Path) -> None:
             raise RecordError(f"{message}; set levelled = true in setup.toml if it is levelled", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<gama-local xmlns="{ALL_AXES}">',
+        f'<gama-local xmlns="{GAMA_XML_NAMESPACE}">',
         '<network axes-xy="en" angles="right-handed">',
         f"<description>{escape(recording.setup.title)}</description>",
         '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',

@@ -11,7 +11,7 @@ from sys import intern
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import HEADERS
+from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
@@ -273,9 +273,9 @@ class _SheetReader:
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
-        if self.headers > HEADERS:
+        if self.headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {HEADERS} headers, the limit for reading"
+                f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
         if columns != self.columns:
             self._convert_rows()

@@ -17,7 +17,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings.files import MAX_NAME_LENGTH, quoted_text
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
@@ -91,7 +91,8 @@ def _position_tolerance(role: str, largest: float, lengths: float) -> float:
     return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
-MAX_LISTED_NAMES = 4
+MAX_NAMES_IN_SETUP_NOTE = 4
+"""Largest number of names that a note on set-ups lists."""
 MIN_CLOSED_LINES = 4
 MAX_CLOSURE_RATIO = 0.5
 """Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
@@ -135,7 +136,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
         for name in spellings[1:]
     }
     if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_LISTED_NAMES)
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
         notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
@@ -143,7 +144,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
 
 def _without_station_name(station: str, target: str) -> str:
     """Name of a target without the name of its set-up; empty if it does not contain it."""
-    if len(target) > MAX_NAME_LENGTH:  # which is refused later
+    if len(target) > MAX_RECORDING_NAME_LENGTH:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
     return (match[1] or match[2]) if match else ""

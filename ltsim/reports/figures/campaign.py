@@ -322,9 +322,9 @@ def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
         1.07 * top, *np.percentile(values, [5, 95]), color=style.INK_COLOUR, linewidth=1.0, label="90 % of trials"
     )
     ax.hlines(
-        1.07 * top, mean - half, mean + half, color=style.AFTER_COLOUR, linewidth=5.0, label="mean, 95 % interval"
+        1.07 * top, mean - half, mean + half, color=style.COLOUR_AFTER, linewidth=5.0, label="mean, 95 % interval"
     )
-    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER_COLOUR)
+    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.COLOUR_AFTER)
     ax.set_title(style.shortened_name(row.name, 40), fontsize=8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")

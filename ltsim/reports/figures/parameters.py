@@ -44,14 +44,14 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
         places,
         values - 1.96 * sigma,
         values + 1.96 * sigma,
-        color=style.AFTER_COLOUR,
+        color=style.COLOUR_AFTER,
         linewidth=1.8,
         label="95 % interval",
     )
     clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
-    for chosen, fill, word in ((clear, style.AFTER_COLOUR, "estimate"), (~clear, "white", "hardly determined")):
+    for chosen, fill, word in ((clear, style.COLOUR_AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
-            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER_COLOUR, label=word)
+            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.COLOUR_AFTER, label=word)
     given = [i for i, value in enumerate(true_values) if value is not None]
     if given:
         truth = np.array([true_values[i] for i in given], dtype=np.float64) / scales[given]
@@ -72,12 +72,12 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     places = style.set_category_rows(ax, [row.name for row in rows])
     share = np.array([row.sigma / row.prior_sigma for row in rows])
     other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
-    ax.hlines(places, share, other, color=style.BEFORE_COLOUR, linewidth=1.0, zorder=1)
+    ax.hlines(places, share, other, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
     if np.isfinite(other).any():
         ax.scatter(
-            other, places, s=28, facecolors="white", edgecolors=style.BEFORE_COLOUR, zorder=2, label="reference layout"
+            other, places, s=28, facecolors="white", edgecolors=style.COLOUR_BEFORE, zorder=2, label="reference layout"
         )
-    ax.scatter(share, places, s=28, color=style.AFTER_COLOUR, zorder=3, label="this layout")
+    ax.scatter(share, places, s=28, color=style.COLOUR_AFTER, zorder=3, label="this layout")
     ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="no information")
     ax.set_xscale("log")
     low = float(np.nanmin(np.concatenate([share, other])))
@@ -151,7 +151,7 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
             half,
             fmt="o",
             ms=3.5,
-            color=style.AFTER_COLOUR,
+            color=style.COLOUR_AFTER,
             lw=1.2,
             label="estimate, 95 % interval",
         )
@@ -181,8 +181,8 @@ def criteria_figure(criteria: Table) -> Figure:
         ax.annotate(
             "", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": style.INK_COLOUR, "lw": 1.0}
         )
-    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.BEFORE_COLOUR, label="before")
-    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.AFTER_COLOUR, label="after")
+    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.COLOUR_BEFORE, label="before")
+    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.COLOUR_AFTER, label="after")
     ax.set_xlim(left=0)
     ax.set_xlabel("deviation between stations [µm]")
     style.add_legend(figure, [ax])
@@ -237,8 +237,8 @@ def values_figure(
     places = style.set_category_rows(ax, lines)
     ax.set_yticks(places, lines)
     value, low, high = np.array(list(rows.values())).T
-    ax.hlines(places, low, high, color=style.AFTER_COLOUR, linewidth=1.8)
-    ax.plot(value, places, "o", ms=4.5, color=style.AFTER_COLOUR)
+    ax.hlines(places, low, high, color=style.COLOUR_AFTER, linewidth=1.8)
+    ax.plot(value, places, "o", ms=4.5, color=style.COLOUR_AFTER)
     for colour, (word, ends) in zip(
         (style.INK_COLOUR, style.RED, style.GREY), (reference_values or {}).items(), strict=False
     ):

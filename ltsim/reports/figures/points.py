@@ -28,7 +28,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     figure.suptitle(f"displacements are enlarged {1e3 * enlarged:.0f} times", x=0.01, ha="left", fontsize=7.5)
     for ax, (title, i, j) in zip(figure.subplots(1, 2), PROJECTIONS, strict=True):
         for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
-            colour = style.RED if far else style.AFTER_COLOUR
+            colour = style.RED if far else style.COLOUR_AFTER
             start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
             turn = np.linspace(0, 2 * np.pi, 60)
             ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])

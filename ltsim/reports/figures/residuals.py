@@ -17,7 +17,7 @@ from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVA
 MAX_STATION_PANELS = 30
 MAX_VECTOR_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
-NORMAL_QUANTILE_95 = 1.96
+BAND_HALF_WIDTH_SIGMAS = 1.96
 """Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
@@ -52,8 +52,8 @@ def residuals_by_station_figure(after: Residuals, before: Residuals | None = Non
     stations = after.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    sides = [(after, 0.18 if before else 0.0, style.AFTER_COLOUR, "after")]
-    sides += [(before, -0.18, style.BEFORE_COLOUR, "before")] if before is not None else []
+    sides = [(after, 0.18 if before else 0.0, style.COLOUR_AFTER, "after")]
+    sides += [(before, -0.18, style.COLOUR_BEFORE, "before")] if before is not None else []
     for ax, observable in zip(axes, shown, strict=True):
         for residuals, shift, colour, word in sides:
             for place, station in enumerate(stations):
@@ -94,7 +94,7 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
             if (rows & ~here).any():
                 _draw_residuals(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
             _draw_residuals(
-                ax, residuals, here, covariate, color=style.AFTER_COLOUR, label="place of the finding", ms=4.0
+                ax, residuals, here, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0
             )
             _draw_running_mean(
                 ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean"
@@ -125,11 +125,11 @@ def response_curve_figure(curve: Curve, response: str, residuals: Residuals | No
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and response in OBSERVABLE_UNITS:
         rows, label_ = residuals.is_observable(response), "residuals without the finding"
-        _draw_residuals(ax, residuals, rows, covariate, color=style.BEFORE_COLOUR, label=label_, ms=2.5)
+        _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=label_, ms=2.5)
         sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
         unit = OBSERVABLE_UNITS[response]
     order = np.argsort(at, kind="stable")
-    x, y, half = factor * at[order], sign * value[order], abs(sign) * NORMAL_QUANTILE_95 * sigma[order]
+    x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND_HALF_WIDTH_SIGMAS * sigma[order]
     ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
     ax.plot(x, y, color=style.RED, label="estimate")
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)

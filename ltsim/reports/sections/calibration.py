@@ -56,7 +56,7 @@ from ltsim.simulation.truth import Truth
 if TYPE_CHECKING:
     from ltsim.reports.workshop import DrawnSights, PlacedWorkshop
 
-MIN_REPORTED_CHANGE = 0.05
+MIN_REPORTED_CRITERION_CHANGE = 0.05
 """Smallest change of a criterion [%] that is reported as a change: the last displayed digit."""
 CONVERGED_STATUSES = ("", "converged", "not stated")
 """Statuses of a fit without a warning."""
@@ -141,7 +141,7 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
     if distance is not None and distance.improvement_percent is not None:
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
-        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_REPORTED_CHANGE else "as well as"
+        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_REPORTED_CRITERION_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
             f"({number_text(distance.before.mean_um)} to "

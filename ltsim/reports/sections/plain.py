@@ -260,16 +260,16 @@ def _with_short_labels(content: History) -> History:
     """The history with the parts of its labels that distinguish them."""
     short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
 
-    def relabelled(entry: EntryWithName) -> EntryWithName:
+    def with_short_label(entry: EntryWithName) -> EntryWithName:
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
 
     return content.model_copy(
         update={
             "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
-            "changes": tuple(map(relabelled, content.changes)),
-            "events": tuple(map(relabelled, content.events)),
-            "since_first": relabelled(content.since_first),
+            "changes": tuple(map(with_short_label, content.changes)),
+            "events": tuple(map(with_short_label, content.events)),
+            "since_first": with_short_label(content.since_first),
         }
     )
 

@@ -18,7 +18,7 @@ from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -36,7 +36,7 @@ class Search:
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration."""
-        ordinary = {type(effect) for effect in BASELINE}
+        ordinary = {type(effect) for effect in BASELINE_EFFECTS}
         for kind in CATALOGUE:
             places = [] if kind in ordinary else list(kind.candidates(self.space.sightings))
             if places:
