@@ -36,10 +36,10 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
     Parameters
     ----------
-    acceptance : str, Path, mapping or Acceptance
-        An acceptance file, or its tables; `format` may be left out of tables.
+    acceptance : str, Path, mapping or AcceptanceSettings
+        Acceptance file, or its tables; tables need no `format`.
     folder : str or Path
-        From where tables name other files.
+        Folder to which the names of other files are relative.
 
     Raises
     ------

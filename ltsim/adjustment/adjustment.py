@@ -40,9 +40,8 @@ from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Number of poorly fitting readings above which they are not tested one after another, because the
-noise is then wrong.
-"""
+"""Number of poorly fitting readings above which the single readings are not tested: so many misfits mean that the noise
+is wrong."""
 
 
 @dataclass(frozen=True)
@@ -112,12 +111,12 @@ class Adjustment(Result):
         ----------
         recording : Recording
             The pointings; their readings only say which observables are measured.
-        state : State
-            Where stations and targets will be, and the instrument's parameters.
+        state : NetworkState
+            Planned stations and targets, and the instrument's parameters.
         construction, effects
-            Whose parameters are to be estimated; default an ideal tracker without any.
+            Construction and effects whose parameters are to be estimated; default an ideal tracker without parameters.
         prior : ParameterPrior, optional
-            What is known of these; default what the set-up states.
+            Prior of the instrument parameters; default that of the set-up.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -271,12 +270,12 @@ class Adjustment(Result):
     def flagged_readings(
         self, level: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
-        """Readings whose residuals are too large for chance, over the whole recording, the most significant first.
+        """Readings whose residuals are too large for chance, in a test over the whole recording.
 
-        They are tested one after another, so that the effect of an outlier on other residuals does not count against
-        these; readings that no test distinguishes from an outlier are listed with it. The test uses the declared noise
-        (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are `noisy_targets`, each with enough
-        readings has a separate sigma0.
+        The most significant is first. They are tested one after another, so that the effect of an outlier on other
+        residuals does not count against these; readings that no test distinguishes from an outlier are listed with it.
+        The test uses the declared noise (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are
+        `noisy_targets`, each with enough readings has a separate sigma0.
         """
         use, target, count = self.problem.used_readings, self.recording.target, int(self.problem.used_readings.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)

@@ -25,9 +25,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 MIN_MIRROR_MISCLOSURE_RATIO = 10.0
-"""Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
-mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
-"""
+"""Smallest ratio of the misclosure of declared coordinates to that of their mirror image at which they count as
+mirrored; both are medians. Correct coordinates have misclosures of the size of the noise, mirrored ones of the size of
+the network."""
 MAX_RELATIVE_MISCLOSURE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).
@@ -105,7 +105,7 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates of a list as known ones, each with its standard deviation.
+    """Recording with the coordinates of a list as control points, each with its standard deviation.
 
     The list is read by `read_points` and needs standard deviations; a missing coordinate is not known.
 
@@ -178,7 +178,7 @@ def _with_datum(
     axes_by_target: Mapping[str, Axes] = NO_AXES,
     source: str | None = None,
 ) -> Recording:
-    """Recording with its datum at these places, each along the axes `axes_by_target` (default all)."""
+    """Recording with its datum at the positions of some targets, each along the axes `axes_by_target` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in declared_places.items():
         x, y, z = (place / MILLIMETRE).tolist()

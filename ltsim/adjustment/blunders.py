@@ -68,7 +68,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]
 
 
 def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
-    """Blunders that explain pointings rejected by an adjustment: after correction they agree with their targets."""
+    """Blunders that explain pointings rejected by an adjustment: once corrected, they agree with their targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -78,7 +78,7 @@ def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
 
 
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) of targets in the network frame from readings (k, 3) in place of those of some rows (k,)."""
+    """Points (k, 3) of targets in the network frame, from readings (k, 3) that replace those of the rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
@@ -191,9 +191,9 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     Returns
     -------
     recording : Recording
-        With converted readings.
+        Recording with converted readings.
     findings : list of GrossFinding
-        One per station; empty if all shapes agree or no blunder explains the difference.
+        Corrected stations, one entry each; empty if all shapes agree or no blunder explains the difference.
     """
     findings: list[IdentifiedBlunder] = []
     odd = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
@@ -236,7 +236,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     -------
     recording : Recording
     findings : list of GrossFinding
-        One per station.
+        Corrected stations, one entry each.
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
     wrong = recording.usable[:, 2] & (shown != recording.face)

@@ -75,8 +75,9 @@ def adjust(
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
-    start : State, optional
-        Where to start; default from the recording alone. With a start no pointing is screened out.
+    start : NetworkState, optional
+        State from which the adjustment starts; default from the recording alone. With a start no pointing is screened
+        out.
     datum : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up chose.
     robust : bool
@@ -87,23 +88,23 @@ def adjust(
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
         readings hardly determine from wandering off.
     prior : ParameterPrior, optional
-        What is known of the instrument parameters; default what the set-up states.
+        Prior of the instrument parameters; default that of the set-up.
     tested_kinds : collection of str
         Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
 
     Returns
     -------
     Adjustment
-        In the frame of the first station unless control points, levels or a datum define another. Targets that the
-        readings in use do not determine are left out (`undetermined_targets`). Its solution
-        carries a status; an adjustment that did not converge is returned, not raised.
+        Adjustment in the frame of the first station, unless control points, levels or a datum define another one.
+        Targets that the readings in use do not determine are omitted (`undetermined_targets`). Its solution carries a
+        status; an adjustment that did not converge is returned, not raised.
 
     Raises
     ------
     NetworkError
         When the readings do not tie a station to the rest, a station measures the target that it stands on, SMRs
         of several radii stand off along normals in whose frame nothing holds the network, or the pointings
-        are more than `ADJUSTED_POINTINGS`.
+        are more than `MAX_ADJUSTED_POINTINGS`.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
@@ -196,7 +197,7 @@ def _solve(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
-    """Adjustment with state and covariances in the datum of selected targets, or of those in the set-up.
+    """Adjustment with state and covariances in the datum of selected targets, by default those of the set-up.
 
     Of the targets in the set-up only the determined ones are used; if they only define axes, they are tested first.
     """

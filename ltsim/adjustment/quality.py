@@ -45,9 +45,8 @@ TRIED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
 )
-"""Errors of unit or convention of a whole file that are tried; those that shrink lengths are excluded, because any
-network then seems to fit.
-"""
+"""Errors of unit or convention that are tested for a whole file. Errors that shrink lengths are excluded, because any
+network then seems to fit."""
 
 
 def require_usable(adjustment: Adjustment) -> None:
@@ -69,7 +68,7 @@ def require_usable(adjustment: Adjustment) -> None:
 
 
 def _require_consistent_units(adjustment: Adjustment) -> None:
-    """Check that no set-up is in another unit or sense than the others; raises NetworkError."""
+    """Check that all set-ups have the same units and sense of rotation; raises NetworkError."""
     thin = next(_sparse_station_sentences(adjustment), "")
     if thin or not adjustment.solution.has_converged or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]

@@ -61,9 +61,8 @@ MAX_NORMALISED_ERROR = 5.0
 MIN_TESTED_REDUNDANCY = 1e-3
 """Redundancy below which the other observations do not test a component of a reference value."""
 MIN_RELATIVE_SIGNATURE = 1e-9
-"""Signature of a component, relative to the largest of its reference value, below which the readings do not depend on
-it.
-"""
+"""Signature of a component, relative to the largest signature of its reference value, below which the readings do not
+depend on the component."""
 MIN_RESIDUAL = 0.2
 """Whitened residual below which a reference value is not tested, because an error of 5 sigmas has a larger one."""
 MIN_RELATIVE_SIGMA = 0.3
@@ -113,7 +112,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def is_height(self) -> bool:
-        """True if its error is one of the height alone."""
+        """True if the error is an error of the height alone."""
         *plan, height = np.abs(self.error).tolist()
         small = [max(MAX_NORMALISED_ERROR * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
         is_significant = height > MAX_NORMALISED_ERROR * self.sigma_error[-1]
@@ -312,7 +311,7 @@ def _with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """First of the wrong reference values with those that contradict it, if too few exist to identify the wrong one."""
+    """First of the wrong reference values and those that contradict it, if the wrong one is not identified."""
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)

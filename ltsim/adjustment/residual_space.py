@@ -60,7 +60,7 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy of each row, (m,): derivative of its residual with respect to its error."""
+        """Redundancy of each row, (m,): derivative of its residual with respect to the error of its observation."""
         return 1.0 - self.projector.leverage()
 
     @cached_property

@@ -25,7 +25,8 @@ from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of rows without a clock that must repeat others (all that can) before they count as copies."""
+"""Smallest number of repeated rows, in a recording without a clock, from which they count as copies; all pointings that
+can be repeated must be."""
 MAX_TRACKER_ERROR = 1e-3
 """Error [m] beyond any plausible tracker error within `MAX_WORKSHOP_RANGE`."""
 MAX_WORKSHOP_RANGE = 10.0
@@ -47,9 +48,8 @@ borderline.
 MAX_INTERMEDIATE_STEPS = 10
 """Largest number of iterations of an intermediate solution; the last one converges."""
 MAX_PREDICTION_SIGMA = 100.0
-"""Standard deviation of a prediction, in sigmas of a rejected reading, above which the target
-counts as undetermined.
-"""
+"""Standard deviation of the prediction of a rejected reading, in sigmas of the reading, above which its target counts
+as undetermined."""
 
 
 def is_copied_row(recording: Recording) -> Bools:
@@ -217,7 +217,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
 def _relaxed_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
-    """State after a step with standard deviations multiplied by `sigma_factors`, and its squared length.
+    """State after one step with standard deviations multiplied by `sigma_factors`, and the squared step length.
 
     It is 0 for a singular system.
     """

@@ -108,7 +108,7 @@ class NetworkInitialiser:
     # --- what is known ---------------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
-        """Targets (T, 3) so far: median of their positions from stations, or located positions."""
+        """Present approximate targets (T, 3): median of their positions from the stations, or located positions."""
         places = self._located_targets.copy()
         whole = np.flatnonzero(self._is_covered)
         places[whole] = self._pairs.medians_by_target(self._pair_points, whole)
@@ -187,7 +187,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True if a station (or a target, -1 minus its index) has not failed before with as many neighbours."""
+        """True unless a station (or a target, given as -1 minus its index) already failed with as many neighbours."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
@@ -295,7 +295,7 @@ class NetworkInitialiser:
             self._transform(*motion)
 
     def _level_stations(self) -> None:
-        """Rotations of stations without angles: upright, along the axes of the others or of the floor plan."""
+        """Rotations of stations without angles: upright, along the axes of the other stations or of the floor plan."""
         measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, measured, len(self._is_joined)) > 0
         if reads_angles.any():

@@ -25,9 +25,10 @@ CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
 is 95 %."""
 MAX_FAR_FRACTION = 0.02
-"""Fraction of readings with residuals above `FAR` declared standard deviations above which they are many."""
+"""Largest fraction of readings with residuals above `MIN_FAR_RESIDUAL` declared standard deviations that single errors
+explain."""
 MAX_ROBUST_STEPS = 25
-"""Reweightings at most, each with a linear step."""
+"""Largest number of reweightings, each with a linear step."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the iteration has converged."""
 
@@ -164,7 +165,7 @@ def estimate_variance_components(
     reject_outliers: Callable[[NetworkProblem, NetworkState], tuple[NetworkProblem, Solution[NetworkState]]],
     reading_mask: Bools | None = None,
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
-    """Problem with standard deviations scaled by group until each agrees with its residuals; its solution.
+    """Problem with standard deviations scaled by group to agree with the residuals, and its solution.
 
     `reject_outliers` solves a problem and may reject readings; it gets all readings of `reading_mask` (n, 3) again with
     the new noise, until the rejected ones do not change.

@@ -27,9 +27,8 @@ class UnknownColumns:
     pose_columns: Ints
     """Columns of translation and rotation of each station, (S, 6)."""
     target_columns: Ints
-    """Columns of each target, (T, 3): targets of reference lengths and differences and those under a set-up are reduced
-    unknowns, all others are eliminated block by block.
-    """
+    """Columns of each target, (T, 3). Targets of reference lengths and differences, and targets under a set-up, are
+    reduced unknowns; all others are eliminated block by block."""
     instrument_columns: Ints
     """Columns of the instrument parameters, (I, p)."""
     extra_columns: Ints

@@ -147,7 +147,10 @@ def _flat_parameter_indices(
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the file's parameters among those of the instruments; names and units are checked."""
+    """Indices of the file's parameters in the flattened array of the parameters of all instruments.
+
+    Checks names and units.
+    """
     at: list[int] = []
     for number, row in enumerate(rows, start=1):
         if (row.instrument, row.name) not in location:

@@ -49,8 +49,8 @@ from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryType = TypeVar("EntryType", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_RATIO_DETERMINED = 0.975
-"""Ratio of sigma to prior sigma below which the readings determine a parameter: they then removed at least 5 % of the
-prior variance (0.975 squared is 0.95)."""
+"""Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
+variance (0.975 squared is 0.95)."""
 MIN_RELATIVE_DIFFERENCE_APPLIED = 1e-9
 """Smallest relative difference between `applied_values` and the estimate (or its sigma) that is written: above
 rounding."""
@@ -63,7 +63,7 @@ FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that are not copied to another calibration: derived from its arrays, or set when it is written."""
+"""Fields that a copy of a calibration does not have: derived from its arrays, or set when it is written."""
 
 
 def _none_if_empty(value: Any) -> Any:

@@ -89,7 +89,7 @@ class ParameterPopulation(ValueEquality):
     covariance: Floats
     """Covariance of the mean, (p, p) [SI]."""
     spread: Floats
-    """Standard deviation of the parameters between calibrations, without that of their estimates, (p,) [SI]."""
+    """Standard deviation of the parameters between calibrations, (p,) [SI], without the estimation errors."""
 
 
 @dataclass(frozen=True)

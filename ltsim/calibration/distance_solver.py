@@ -208,7 +208,7 @@ def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
 
 
 def determined_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, tuple[ParameterCombination, ...]]:
-    """Combinations (q, k) of the `free` (q,) unknowns to be estimated, and those fixed at zero with their gains."""
+    """Combinations (q, k) of the `free` (q,) unknowns that are estimated; those fixed at zero with their gains."""
     strength, eigenvectors = np.linalg.eigh(rows.unknown_derivatives[:, free].T @ rows.unknown_derivatives[:, free])
     vectors = np.zeros((len(free), len(eigenvectors)))
     vectors[free] = eigenvectors
@@ -223,7 +223,7 @@ def determined_combinations(rows: ComparedDistances, free: Bools) -> tuple[Float
 
 
 def _split_observable_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, Floats]:
-    """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
+    """Combinations (q, k) of the free unknowns that change a compared distance, and combinations that change none."""
     _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free], full_matrices=False)
     vectors = np.zeros((len(free), len(right_vectors)))
     vectors[free] = right_vectors.T

@@ -58,14 +58,14 @@ def calibrate_network(
 
     Parameters
     ----------
-    parameter_selection : Choice, optional
+    parameter_selection : ParameterSelection, optional
         Parameters to estimate, and their prior; default all, with the prior of the set-up.
     choose_correction : bool
-        Shrink the correction (`calibration.shrinkage`), widen the prior of constants that contradict it, and identify
-        simple causes. Without it the model and the priors are the declared ones, and the estimates are linear in the
-        readings.
+        True to shrink the correction (`calibration.shrinkage`), to widen the prior of constants that contradict it, and
+        to identify simple causes. If False, the model and the priors are the declared ones, and the estimates are
+        linear in the readings.
     extra_effects : sequence of RequestedEffect
-        Effects of the catalogue, and laws, to estimate too.
+        Effects of the catalogue, and laws, that are also estimated.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
@@ -145,16 +145,16 @@ def adjust(
     ----------
     recording : Recording, str or Path
     robust : bool
-        Exclude outlying readings, each tested again at the end.
+        True to exclude outlying readings; each is tested again at the end.
     noise_from_data : bool
-        Estimate the noise of each observable and instrument from the residuals.
+        True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
+        Targets that define the datum by inner constraints; default the selection in the set-up.
 
     Returns
     -------
     Calibration
-        Without instrument parameters.
+        Calibration without instrument parameters.
 
     Raises
     ------

@@ -201,7 +201,9 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
 
 
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
-    """Standard deviations of axes that declared coordinates define, from their misfit to the network.
+    """Standard deviations of the axes that declared coordinates define, from the misfit of these to the network.
+
+    None if no coordinates are declared.
 
     None for others.
     """

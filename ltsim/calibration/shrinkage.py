@@ -42,9 +42,8 @@ MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_LEVEL)
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
 """Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
 MAX_PRIOR_SCALE = 30.0
-"""Prior scale above which the misfit has another cause than the instrument parameters: no instrument exceeds its
-specification so far in all of them.
-"""
+"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more, so that a larger misfit
+has another cause."""
 MIN_RELATIVE_CORRECTION = 0.02
 """Smallest applied correction, relative to the estimate (rms effect on a point); a smaller one is not applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
@@ -126,13 +125,13 @@ class ScaledPrior:
     ----------
     information : (q, q) float
     information_vector : (q,) float
-        Information times the estimate by the readings alone.
-    least : float
-        Smallest scale that the prior may have.
+        Information times the estimate from the readings alone.
+    min_scale : float
+        Smallest permitted scale of the prior.
     is_free : bool
         True if the scale is estimated in any case: 1 is then only its unit.
-    rest : float
-        sigma0 of the readings; from `UNEXPLAINED` on no scale above 1 is accepted.
+    sigma0 : float
+        sigma0 of the readings; if it is large, no scale above 1 is accepted.
     """
 
     def __init__(

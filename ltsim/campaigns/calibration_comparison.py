@@ -83,13 +83,13 @@ def compare_calibrations(
     source : Scenario, str or Path
         The scenario of the recording that was calibrated.
     calibrations : Calibration, or mapping of str to Calibration
-        By the names that the result calls them.
+        Calibrations by their names in the result.
     validation_scenario : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
     applied : bool
         Judge what `correct` takes out of readings in place of the estimates, as for a campaign's method with `applied`.
     seed, trial : int
-        Those of the recording.
+        Seed and trial of the recording.
 
     Raises
     ------

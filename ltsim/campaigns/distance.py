@@ -155,7 +155,7 @@ class BatchDistance(BatchCalibrator):
         return values, moved
 
     def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
-        """Parameters and largest change, as `_least_squares_values`, of the wanted trials, each by its own matrix.
+        """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials.
 
         Inf for other trials.
         """

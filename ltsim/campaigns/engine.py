@@ -48,11 +48,11 @@ class CalibratedBlock:
     chi2: Floats
     """Chi-square of each trial, (B,)."""
     status_indices: Ints
-    """Index into `STATUSES`, (B,)."""
+    """Index into `TRIAL_STATUSES`, (B,)."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Parameters of additional effects, (q, B) [SI]; empty for none."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Standard deviations of these parameters, (q, 1) or (q, B) [SI]."""
+    """Standard deviations of the parameters of effects, (q, 1) or (q, B) [SI]."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
     """Parameters (14, B) [SI] of `smr-incidence` of each reflector with an estimated error, by name."""
 
@@ -101,7 +101,7 @@ class TrialCalibrator:
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated."""
     method: str = "network"
-    """Name of the method, as of `spec.Method`."""
+    """Name of the method in the campaign file."""
 
     def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
         """Calibrated block; trials that are not wanted may be NaN."""
@@ -142,7 +142,7 @@ def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
-    """Flags (B,) of the trials with a pointing so far off that the full solver must decide about it.
+    """Flags (B,) of the trials with a pointing so far off that the full solver must solve them.
 
     `deviation` (n, 3, B) are deviations of readings to points `local_points`, (n, 3, B) or (n, 3, 1) for common points.
     """
@@ -236,7 +236,7 @@ class BatchCalibrator(TrialCalibrator):
         ), fit.has_converged
 
     def calibrate(self, block: TrialBatch, wanted: Ints | None = None) -> CalibratedBlock:
-        """Calibrated block; `wanted` (default all) are the trials that may use the single calibrator."""
+        """Calibrated block. Only the trials `wanted` (default all) may use the single calibrator, which is slow."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
         calibrated, good = self.calibrate_batch(block, wanted)
         enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local_points[:, :, None])

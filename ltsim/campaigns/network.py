@@ -220,7 +220,7 @@ class BatchNetwork:
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
-        """Sightings on the floor plan, the frame of the full solver for such a network, in which nests are known."""
+        """Sightings in the frame of the floor plan, in which the full solver knows the nests."""
         state = self.nominal_state
         motion = self._network_frame.plan_motion(state.station_positions, state.station_rotations)
         if motion is not None:

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 METHOD_AXIS = "calibrator"
 """Name of the axis of methods in an xarray dataset, where `method` is already an argument of `sel`."""
 N_BOOTSTRAP_RESAMPLES = 400
-"""Number of resamples of a bootstrap interval, whose limits then have a sampling error of about a
-tenth of its width.
-"""
+"""Number of resamples of a bootstrap interval; its limits then have a sampling error of about a tenth of its width."""
 RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of a factor cannot have; an underscore is then appended."""
 
@@ -46,8 +44,8 @@ class CampaignResults(CampaignStatistics, Result):
         statistic : str
             A column of the rows, or a share.
         **between
-            One of ``method=("distance", "network")`` or a factor with two of its levels, ``faces=(1, 2)``: the first
-            less the second, for every combination of the other settings.
+            Either ``method=("distance", "network")``, or a factor with two of its levels, ``faces=(1, 2)``: first minus
+            second, for every combination of the other settings.
 
         Raises
         ------
@@ -63,8 +61,8 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         function : callable
-            Of one array (n,) per column, with the values of the same n trials; returns a number. Trials in which a
-            column has no value are left out.
+            Function of one array (n,) per column, with the values of the same n trials, that returns a number. Trials
+            without a value in a column are omitted.
         *columns : str
             Columns of the rows.
 

@@ -146,7 +146,7 @@ class NetworkScore:
     expected_chi2: float = np.nan
     """Mean of chi-square for the truth as it was made, declared or drawn."""
     chi2_deviation: float = np.nan
-    """Standard deviation of chi-square for the truth as it was made."""
+    """Standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
 
 
 @dataclass(frozen=True)
@@ -160,9 +160,8 @@ class TrialScore(ValueEquality):
     """Standard deviations that the calibrator declares, (p,); NaN for none."""
     true_values: Floats
     standard_z_scores: Floats
-    """z-scores (p,) that are standard normal for the truth as it was made, declared or drawn; NaN for parameters
-    without influence of noise, and for a calibrator with unknown prior.
-    """
+    """z-scores (p,) that are standard normal for the truths of the campaign, drawn or fixed; NaN for parameters without
+    influence of noise, and for a calibrator with unknown prior."""
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
@@ -322,7 +321,7 @@ def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]
 
 
 def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square for such truths."""
+    """Mean and standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)

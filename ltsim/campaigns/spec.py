@@ -133,7 +133,7 @@ class CampaignFile(TomlSection):
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Stopping rule of a cell before it has all its trials."""
+    """Rule that ends a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 

@@ -55,7 +55,7 @@ class StatisticSummary:
     """Statistic over the trials of one cell and method.
 
     `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
-    to `LEVELS`. A ratio over all trials has only a mean and an interval.
+    to `QUANTILE_LEVELS`. A ratio over all trials has only a mean and an interval.
     """
 
     cell: int
@@ -119,9 +119,9 @@ class CampaignStatistics:
     folder : Path
     manifest : ManifestFile
     factors : tuple of Factor
-        What differs between cells: the columns of settings.
+        Factors that differ between cells: the columns of settings.
     levels : list of dict
-        Their values in each cell, by name.
+        Levels of the factors in each cell, by name.
     columns : tuple of str
         The columns that hold results, and the shares of all trials together.
     units : dict

@@ -95,7 +95,9 @@ class CampaignFolder:
             raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
     def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
-        """Check that shards are as they were written for their cells.
+        """Check that the shards are unchanged since they were written, and belong to their cells.
+
+        Raises OSError, ValueError or pyarrow.ArrowException.
 
         Raises OSError, ValueError or pyarrow.ArrowException.
         """
@@ -171,7 +173,7 @@ class CampaignFolder:
                 shutil.rmtree(self.folder / ROWS_FOLDER)
 
     def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
-        """Status of a shard: `whole`, `missing`, `damaged`, or `short` of rows or columns.
+        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` of rows or columns.
 
         `digests` are the recorded digests.
         """

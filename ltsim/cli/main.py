@@ -147,12 +147,16 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _report_interruption(remark: str = "no partial file remains") -> int:
+    """Exit status after an interruption; prints a remark."""
     streams.write_line(f"interrupted; {remark}", sys.stderr)
     return INTERRUPTED_STATUS
 
 
 def _report_failure(error: Exception) -> int:
-    """Exit status of an internal error, or of output that cannot be written, such as to a full disk."""
+    """Exit status after an internal error, or after output that cannot be written, such as to a full disk.
+
+    Prints the error.
+    """
     if isinstance(error, OSError) and error.errno in UNWRITABLE_OUTPUT_ERRNOS:
         streams.discard_output(sys.stdout)
         return _report_invalid_input(f"{error.filename or 'the output'} cannot be written ({error.strerror})")

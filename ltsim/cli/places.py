@@ -31,7 +31,7 @@ GENERATOR_TAG = '<meta name="generator" content="ltsim'
 MAX_SEARCHED_BYTES = 4096
 """Bytes of a file that are searched for the mark of ltsim."""
 LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR_TAG)}')
-"""Pattern at the beginning of a file of ltsim, written by it or for it."""
+"""Pattern at the beginning of a file of ltsim, written by a command or by a user."""
 
 
 @dataclass(frozen=True)

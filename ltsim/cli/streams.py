@@ -42,7 +42,7 @@ def is_output_closed() -> bool:
 
 
 def is_reader_gone() -> bool:
-    """True if the reader of standard output has closed it."""
+    """True if the program that reads standard output (such as `head`) has closed it."""
     return 1 in _DROPPED_STREAMS
 
 

@@ -150,7 +150,7 @@ class ResultTerminal(Terminal):
     def write_result(
         self, content: ResultFileType, companion_contents: Callable[[], Mapping[str, str | bytes]] = dict
     ) -> ResultFileType:
-        """Result as written with its companion files, if there is a folder; otherwise the result itself."""
+        """Result after it was written with its companion files; unchanged if no folder was given."""
         from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, companion_contents())

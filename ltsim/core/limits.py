@@ -11,6 +11,7 @@ import re
 from ltsim.core.errors import ModelError
 
 MIB = 1024 * 1024
+"""Number of bytes of a mebibyte."""
 
 MAX_FILE_BYTES = 32 * MIB
 """Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
@@ -30,12 +31,13 @@ MAX_TABLE_CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
 MAX_ADJUSTED_POINTINGS = 50_000
-"""Pointings of a network that is adjusted or checked: each takes 4 to 7 kB and 0.5 ms, the libraries 130 MB, or with
-pictures 480 MB."""
+"""Largest number of pointings of a network that is adjusted or checked. A pointing takes 4 to 7 kB and 0.5 ms; the
+libraries take 130 MB, or 480 MB with pictures."""
 MAX_CALIBRATED_POINTINGS = 30_000
-"""Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
+"""Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
+networks up to three times as large."""
 MAX_DIAGNOSED_POINTINGS = 8_000
-"""Pointings of a network that is diagnosed, in about a minute and 1.1 GB if there is a cause."""
+"""Largest number of pointings of a network that is diagnosed, in about a minute and 1.1 GB if there is a cause."""
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
 
@@ -92,9 +94,8 @@ MAX_IN_PROCESS_CAD_BYTES = MIB // 2
 360 bytes per byte of the file.
 """
 MAX_OBSTACLE_TRIANGLES = 200_000
-"""Largest number of triangles in a CAD file, those of each instance counted; each takes 700 bytes while it is read, and
-1,500 in a hall where it may hide targets.
-"""
+"""Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it
+is read, and 1,500 in a hall where it may hide targets."""
 
 
 def max_pointings(limit: int) -> int:

@@ -269,7 +269,7 @@ class Table(ValueEquality):
 
     @property
     def _displayed_columns(self) -> list[Column]:
-        """Displayed columns: without empty ones and standard deviations, which share a cell with their value."""
+        """Displayed columns: no empty ones, and no standard deviations, which share a cell with their value."""
         merged = {column.sigma for column in self.columns}
         empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
         return [column for column in self.columns if column.name not in merged | empty]

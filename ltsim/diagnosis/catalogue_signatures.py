@@ -201,7 +201,7 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
         return effect, 1.0
     squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
     coarser = times_to_noise(np.sqrt(squares))
-    return replace(effect, coarse=coarser) if coarser > 1.0 else effect, coarser
+    return replace(effect, size_factor=coarser) if coarser > 1.0 else effect, coarser
 
 
 def _dense(size: int, members: Sequence[int], rows: Singles, places: Ints) -> Group:

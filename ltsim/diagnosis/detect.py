@@ -28,7 +28,7 @@ class Detection:
     statistic : float
         Log evidence of the whole search.
     chi2_p_value : float
-        Of the plain global test; NaN without redundancy.
+        p-value of the global test (chi-square); NaN without redundancy.
     null : (trials,) float
         Statistic of simulated recordings without any effect.
     """

@@ -227,7 +227,10 @@ def congruence_test(
 
 
 def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: float) -> list[int]:
-    """Indices of points that moved: significant ones are added, then each is tested again with the others."""
+    """Indices of the points that moved. Significant points are added one by one.
+
+    After each addition all are tested again given the others.
+    """
     moved: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), level / max(len(tested_mask), 1))
     most = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
@@ -249,7 +252,7 @@ def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: fl
 def _displacement_of_point(
     difference: EpochDifference, point: int, moved_points: list[int], tested: int, level: float
 ) -> Displacement:
-    """Displacement of one point in the frame of the stable points, and its test with the others in the model."""
+    """Displacement of a point in the frame of the stable points, and its test given the other displacements."""
     count, a = max(tested, 1), len(difference.compared_axes)
     others = [p for p in moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])

@@ -252,9 +252,8 @@ MAX_RELATIVE_EIGENVALUE = 1e-7
 round to 1e-9.
 """
 MAX_EXCHANGE_DISTANCE = 0.1
-"""Largest distance, relative to the distance of two points, from each other's position at which their names count as
-exchanged.
-"""
+"""Largest distance of each of two points from the other's earlier position at which their names count as exchanged,
+relative to the distance between the points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
 
@@ -317,7 +316,7 @@ def exchanged_names_sentence(names: Sequence[str], order: Ints) -> str:
 
 
 def undetermined_motions_note(count: int) -> str:
-    """Note that `count` motions of the whole network are undetermined, and what was done."""
+    """Note on the undetermined motions of the whole network, their number `count`, and how they were fixed."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
         "with the first along them"

@@ -111,7 +111,8 @@ class TypeB(TomlSection):
     sizes: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviation or half-width by parameter, in units of display."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """Scope of one draw: all pointings, or those of a station, an instrument or a target, or a single pointing."""
+    """Scope of one random draw: all pointings, the pointings of a station, an instrument or a target, or a single
+    pointing."""
     stations: tuple[str, ...] = ()
     """Names of the stations where it acts; empty for all."""
     targets: tuple[str, ...] = ()

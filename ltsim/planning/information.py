@@ -210,7 +210,7 @@ class CriteriaPredictor:
 
 
 def _mean_length(square: Floats, spread: Floats) -> Floats:
-    """Mean over rows of the expected length (k,), computed for a few requests at a time."""
+    """Mean over rows of the expected length (k,), computed in batches."""
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
         for part in np.array_split(square, max(1, len(square) // 64))

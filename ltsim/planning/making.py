@@ -209,7 +209,7 @@ class _PlanSearch:
     def _closest_layout(
         self, layouts: list[tuple[float, int, PlannedSurvey]], demands: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """Layout, among those of several starts, that comes closest to the tolerances."""
+        """Layout that comes closest to the tolerances, among the layouts of several starts."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -267,7 +267,10 @@ class _PlanSearch:
 
 
 def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
-    """Text of the points that neither any layout on the grid nor the present one sees; empty for none."""
+    """Text of the points that are visible neither from any layout on the grid nor from the present layout.
+
+    Empty for none.
+    """
     position = site.survey.station_positions
     if site.is_feasible(position[None], site.is_visible(position)[None])[0]:
         return ""

@@ -276,7 +276,7 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
 
 
 def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Trade-off point with the fewest stations that is as good as the scenario's layout, measured in the same way."""
+    """Trade-off point with the fewest stations that is as good as the scenario's layout with the same procedure."""
     if plan.reference is None or not plan.reference.qualities:
         return None
     goal = _reference_objective(plan)

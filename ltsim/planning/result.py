@@ -55,7 +55,7 @@ class Plan(ResultFile, LayoutEntry):
     reflector_changes: tuple[PlanChange, ...] = ()
     """Useful changes of one reflector, the best first, then reflectors that can be removed."""
     changes_tried: str = ""
-    """Numbers of reflector changes tried and of those that help, as a sentence."""
+    """Sentence with the numbers of evaluated and of useful reflector changes."""
     bodies: tuple[str, ...] = ()
     """Obstacles in the hall, one sentence each: type of the file, size and position."""
     reached: bool | None = None

@@ -36,7 +36,7 @@ NEST_ANGLE_MARGIN = 0.004
 MAX_NAMES_IN_RULE_TEXT = 8
 """Largest number of names that a sentence lists."""
 N_PLACEMENT_DRAWS = 24
-"""Number of random places that are tried for a station of a random placement."""
+"""Number of candidate places that are drawn for a station of a random layout."""
 MAX_BRANCH_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
 RANDOM_PLACE_COST = 1e-4
@@ -143,7 +143,7 @@ class SearchSpace(ValueEquality):
         return good
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """All rules that a layout breaks, those of positions first; empty for a layout that the search permits."""
+        """All rules that a layout breaks, rules of positions first; empty for a permitted layout."""
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
@@ -284,7 +284,9 @@ class StationPlacement:
         return np.asarray(np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[chosen].sum(axis=0), 0))
 
     def _best_place(self, others: list[int], wanted_sights: int, random_generator: np.random.Generator | None) -> int:
-        """Place that adds most sights to the others, with a small weight for sights beyond the wanted number.
+        """Place that adds most missing sights, with a small weight for sights beyond the wanted number.
+
+        -1 if no place is permitted.
 
         It is -1 if none is permitted.
         """

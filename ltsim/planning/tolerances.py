@@ -36,7 +36,7 @@ def is_met(ratio: float) -> bool:
 
 
 def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of a value with the fewest digits (at least `digits`) that show on which side of its limit it is."""
+    """Text of a value, with enough digits (at least `digits`) to show on which side of its limit the value is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 

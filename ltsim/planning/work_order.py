@@ -34,7 +34,7 @@ FREE_TAPE_HEIGHT = 0.1
 MIN_FIRMNESS_GAIN_PER_METRE = 0.03
 """Smallest gain in firmness of three distances per additional metre of tape."""
 MIN_MOVED_SIGMAS = 3.0
-"""Number of standard deviations beyond which a repeated point counts as moved."""
+"""Number of standard deviations from which a repeated point counts as moved."""
 N_REPEATED_POINTS = 3
 """Number of points that are measured again at the end of a station."""
 

@@ -260,7 +260,9 @@ def _azimuth_sense_by_alignment(
 
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
-    """Median misfits [m] of points (n, 3) and of their mirror image after rigid alignment to others.
+    """Median misfits [m] of points (n, 3), and of their mirror image, to other points after a rigid alignment.
+
+    A misfit is 1 if no alignment exists.
 
     It is 1 if no alignment exists.
     """

@@ -84,7 +84,7 @@ def read_text(path: Path, *, liberal: bool = False, max_bytes: int = MAX_FILE_BY
 def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     """Lines of a text file without their line breaks (Unix, Windows or old Macintosh).
 
-    Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
+    Raises RecordError for more than `MAX_TEXT_LINES` of them, or one of more than `MAX_LINE_CHARACTERS`.
     """
     text = with_unix_line_ends(read_text(path, liberal=liberal))
     if text.count("\n") > MAX_TEXT_LINES:

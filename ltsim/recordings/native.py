@@ -63,8 +63,8 @@ COLUMN_BOUNDS = {
 OTHER_COLUMN_BOUNDS = ("k", "f", "pa", "bar", "inch")
 
 
-INTERNED_TEXTS = 10_000
-"""Texts of cells that are kept once where they occur again, such as names."""
+MAX_INTERNED_TEXTS = 10_000
+"""Largest number of distinct texts of cells, such as names, that are stored once and shared."""
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -101,7 +101,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     try:
         for fields in csv.reader(_release_lines(lines), strict=True):
             cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
-            if len(texts) < INTERNED_TEXTS:
+            if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
                 if len(cells) > MAX_ROW_FIELDS:

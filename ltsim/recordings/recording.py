@@ -280,7 +280,7 @@ class Recording(Result):
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % every == 0)
 
     def require_at_most(self, pointings: int, work: str) -> None:
-        """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        """Check of the number of pointings; raises NetworkError, with the command that thins the recording."""
         pointings = max_pointings(pointings)
         if len(self) <= pointings:
             return

@@ -19,7 +19,8 @@ EXPANSION_ERROR_PREFIX = "expansion of "
 """Prefix of the name of the expansion error that lengths of one material share."""
 SCALE_ERROR_NAME = "scale of all lengths"
 MIN_UNKNOWN_SCALE_PPM = 1000.0
-"""Standard deviation [ppm] of the common scale of lengths from which they determine ratios only: 40 K of aluminium."""
+"""Standard deviation [ppm] of the common scale of lengths from which the lengths determine ratios only; it corresponds
+to 40 K for aluminium."""
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,8 @@ class LengthUse(TomlSection):
     material: Line | None = None
     """Name of a table of materials; default the coefficient of the gauge."""
     measured_in_place: bool = False
-    """True for a length that was measured in place, such as by an interferometer: it needs no expansion."""
+    """True for a length that was measured in the hall, such as by an interferometer: it needs no correction for
+    expansion."""
 
 
 class GaugeDistance(LengthUse):
@@ -193,7 +194,7 @@ class Station(TomlSection):
     instrument_height_mm: Height = 0.0
     """Height of the head above its mark."""
     over: str | None = None
-    """Target on whose mark the tripod stands."""
+    """Name of the target on whose mark the tripod stands."""
     vertical: Direction | None = None
     """Direction of the plumb line in the network frame; default z."""
 

@@ -16,7 +16,8 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 MPE_COVERAGE_FACTOR = 2.0
-"""Number of standard deviations in a maximum permissible error: manufacturers give typical errors as half of it."""
+"""Number of standard deviations in a maximum permissible error: manufacturers state a typical error of half the
+maximum."""
 TWO_FACE_LIMIT_RATIO = 2.0
 """Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
 annex D).

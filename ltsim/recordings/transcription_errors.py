@@ -36,7 +36,7 @@ class TranscriptionError:
 
     @property
     def cause(self) -> str:
-        """Text of the error, such as metres for millimetres."""
+        """Text of the error, such as "metres for millimetres"."""
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:

@@ -144,7 +144,7 @@ class NoteBlock:
 
 @dataclass(frozen=True)
 class CodeBlock:
-    """Preformatted text, such as settings; folded."""
+    """Preformatted text, such as settings; it starts folded on the page."""
 
     title: str
     text: str

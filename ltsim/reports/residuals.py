@@ -82,7 +82,7 @@ class Residuals:
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
-        """Residuals of a table `RESIDUALS`; raises RecordError for an invalid observable or unit."""
+        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit."""
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:

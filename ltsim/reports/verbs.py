@@ -72,11 +72,12 @@ def view(
     Parameters
     ----------
     source : Recording, Scenario, str or Path
-        A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
+        Recording (adjusted first) or scenario, its file, or the name of a built-in scenario.
     cad : str or Path, optional
-        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) to show in the workshop.
+        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) that is shown in the workshop.
     cad_unit : {`mm`, `m`, `in`}, optional
-        Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
+        Unit of the coordinates in the CAD file; default by its format (glTF: metres; STEP: declared in the file;
+        others: millimetres).
     cad_up : {`y`, `z`}, optional
         Axis of the CAD file that points up; default by its format (glTF: y).
     colour : {`incidence`, `residual`}
@@ -129,15 +130,15 @@ def report(
     Parameters
     ----------
     folder : str or Path
-        A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
+        Folder of a recording, a calibration, a diagnosis, a campaign or a plan, or folder of such folders.
     recording : str or Path, optional
         Recording of a calibration or diagnosis, if it is not in the folder.
     title : str, optional
         Title of the page.
     about : mapping of str to str, optional
-        `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
+        Lines of the header: `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
     tell : callable
-        Callback for the error of each inner folder that cannot be read; the page shows it too.
+        Callback with the error of each inner folder that cannot be read; the page shows the error too.
 
     Returns
     -------

@@ -60,7 +60,7 @@ class Scenario(TomlSection, Result):
     title: str = ""
     """Free text."""
     base: str | None = None
-    """Built-in scenario whose tables are defaults for those of this file; the value "none" removes a table."""
+    """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
     """Room, air and obstacles."""
     placing: Placing = Placing()
@@ -98,7 +98,7 @@ class Scenario(TomlSection, Result):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Targets of the mesh, then those of the gauge."""
+        """Names of the targets of the mesh, then of those of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
@@ -161,7 +161,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
 
 
 def _file_value(value: Any, *, effects: bool) -> Any:
-    """New value in the form of a file: effects (`lt.Effect` or names, alone or in a list) as their tables."""
+    """Value of a key as in a file: effects (`lt.Effect` objects or names, alone or in a list) become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -266,7 +266,7 @@ def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int)
 
 
 def even_filling_order(points: Floats) -> list[int]:
-    """Order of places (n, 3) in which they fill the room evenly, beginning with the one farthest from their centre."""
+    """Order (n,) in which places (n, 3) fill the room evenly, beginning with the place farthest from their centre."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):

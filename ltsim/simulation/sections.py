@@ -77,8 +77,7 @@ class Obstacle(TomlSection):
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """True if the obstacle may extend beyond the room or below its floor, which otherwise is an
-    error for a CAD file.
+    """True if the obstacle may extend beyond the room or below its floor; otherwise this is an error of the CAD file.
     """
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box that replaces a file."""
@@ -97,7 +96,7 @@ class Obstacle(TomlSection):
 
 
 class Workshop(TomlSection):
-    """Room and its air, which is the same everywhere; its temperature may rise."""
+    """Room and its air. The air is the same everywhere; its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
     """Width, depth and height of the room; a corner is the origin, z is up."""

@@ -177,7 +177,7 @@ class Truth(ResultFile):
     seed: int = 0
     """Root of the random draws."""
     trial: int = 0
-    """Number of the trial among those of its seed."""
+    """Number of the trial among the trials of its seed."""
     construction: str
     """Construction that generated the readings."""
     parameters: tuple[TrueInstrumentValue, ...] = ()

@@ -14,9 +14,8 @@ from ltsim.core.errors import NetworkError
 MAX_VERTEX_SEARCHES = 12
 """Largest number of searches of an optimal vertex with new perturbations."""
 CANDIDATE_ROWS_RATIO = 8
-"""Number of rows, in multiples of the number of unknowns, among which the first vertex is searched: those with the
-smallest residuals.
-"""
+"""Number of rows with the smallest residuals among which the first vertex is searched, in multiples of the number of
+unknowns."""
 DATA_PERTURBATION = 1e-6
 """Size of the perturbation of rows, relative to the usual residual, that prevents more rows than unknowns from having
 zero residuals at one vertex.
@@ -35,7 +34,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats 
     Parameters
     ----------
     design : (m, k) float
-        Of full rank.
+        Design matrix of full rank.
     observations : (m,) float
     start : (k,) float, optional
         Start point; the solution does not depend on it.

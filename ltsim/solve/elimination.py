@@ -172,7 +172,9 @@ class SparseElimination:
         return blocks, leverage
 
     def _row_groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
-        """Number of each group of rows, its rows, and these in the reduced columns.
+        """Groups of rows by block: number of the block, rows, and their entries in the reduced columns.
+
+        The arrays are ordered as in `_rows_sorted_by_block`.
 
         Order and edges of `_rows_sorted_by_block`.
         """
@@ -197,7 +199,7 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Rows (m,) sorted by the block that they touch, limits of these groups, and rows (m, 3) on their block.
+    """Rows (m,) sorted by block, limits of the groups, and their entries (m, 3); rows without a block are last.
 
     Rows without a block are last.
     """

@@ -316,14 +316,14 @@ def write_noisy(rows: int, folder: str) -> None:
 def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.repeat(np.arange(len(recording)), 3))
     with pytest.raises(
         NetworkError, match="holds 420 pointings; an adjustment takes at most 100: divide it by station"
     ):
         lt.adjust(whole)
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 200)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 200)
     with pytest.raises(
         NetworkError, match=r"holds 420 pointings; an adjustment takes at most 200: convert it .*every 3"
     ):
@@ -334,7 +334,7 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
 
 
 def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
     monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, str(len(recording)))
     assert len(lt.adjust(recording).target_names) == 28

@@ -53,7 +53,7 @@ class CheckItem(Entry):
     def from_test(
         cls, place: str, kind: CheckItemKind, passed: bool, sentence: str, p_value: float | None = None, **details: Any
     ) -> CheckItem:
-        """Item of a test with its sentence, p-value, and the targets, rows or times that it concerns."""
+        """Item of a test with its sentence, its p-value, and the targets, rows or times of the tested readings."""
         return cls(station=place, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
@@ -191,7 +191,7 @@ class Check(ResultFile):
 
 
 def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
-    """Sentence with go or no-go and its reason: first causes from which others follow, then noisy targets."""
+    """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
     failed = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
     rest = sorted(

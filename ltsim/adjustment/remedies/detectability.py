@@ -199,6 +199,9 @@ def _place_text(effect: Effect) -> str:
 def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of a term of the ordinary calibration, with the other terms and their priors in the model.
 
+    Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
+    from zero.
+
     Such a term is estimated and not tested; the size is the one at which its estimate differs significantly from zero.
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]

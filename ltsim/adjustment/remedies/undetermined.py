@@ -27,7 +27,8 @@ from ltsim.physics.model.construction import Construction
 MIN_DETERMINED_GAIN = 0.5
 """Smallest gain of a determined combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain below which combinations count as equally undetermined, so that simple rotations of them are reported."""
+"""Gain below which combinations count as equally undetermined; they are then rotated to combinations of few parameters.
+"""
 MIN_REPORTED_COEFFICIENT = 0.1
 """Smallest coefficient of a combination that is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.05

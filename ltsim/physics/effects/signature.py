@@ -188,7 +188,7 @@ class CandidateEffect(Signature, Protocol):
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
     n_neighbour_directions: ClassVar[int] = 1
-    """Number of independent directions in which `finer` varies the constants."""
+    """Number of independent directions in which `neighbours` varies the constants."""
 
     @property
     @abstractmethod
@@ -281,7 +281,7 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
 
 def n_constants(effect: CandidateEffect) -> int:
     """Number of constants of an effect: its parameters, and the constants of its shape and place."""
-    constants = (value for name, value in vars(effect).items() if name != "coarse")
+    constants = (value for name, value in vars(effect).items() if name != "size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 

@@ -37,7 +37,7 @@ class IncidenceErrors(Signature):
     mean_parameters: Floats
     """Expected parameters (p,) [SI] of `smr-incidence`."""
     covariance_root: Floats
-    """Change (p, k) [SI] of these parameters by one standard deviation of each error."""
+    """Change (p, k) [SI] of the incidence parameters by one standard deviation of each independent error."""
 
     @property
     def name(self) -> str:

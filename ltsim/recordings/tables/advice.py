@@ -14,7 +14,7 @@ from ltsim.recordings.transcription_errors import FULL_CIRCLE_RADIANS, MIN_DISTA
 
 MAX_SAMPLE_ROWS = 400
 MAX_TRIED_ASSIGNMENTS = 20
-"""Largest number of assignments of columns that are tried on the whole sheet, most likely first."""
+"""Largest number of assignments of columns that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
 """Number of cells, from the first rows of a table, that the suggestions are based on."""
 MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM

@@ -77,7 +77,7 @@ class RunReader:
         self.marked: set[str] = set()
 
     def read(self, run: HeaderRun) -> PrintedPointings:
-        """Pointings of rows, each with the station of its block if its row names none.
+        """Pointings of rows; a row that names no station has the station of its block.
 
         Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
         """

@@ -101,7 +101,8 @@ are not applied.
 MIN_CIRCLE_ROTATION = 1e-3
 """Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
 MIN_ROTATION_SIGMAS = 6.0
-"""Smallest difference in standard deviations of the directions, if given, that counts as a rotated circle."""
+"""Smallest difference of directions, in their standard deviations (if given), that counts as a rotation of the circle.
+"""
 MAX_CLOSURE_M = 0.02
 """Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
 decimetres.
@@ -297,7 +298,7 @@ def _mark_and_target(table: PointingTable) -> Iterator[tuple[str, str]]:
 
 
 def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
-    """Occupations of marks that each pointing connects: those of one day, in one role.
+    """Occupations of marks that a pointing connects, for a table without a column of occupations.
 
     They apply to a table without a column of occupations.
     """

@@ -183,7 +183,7 @@ def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
-    """Check of the number of columns in a row; raises RecordError for more than `FIELDS`."""
+    """Check of the number of columns in a row; raises RecordError for more than `MAX_ROW_FIELDS`."""
     if len(fields) > MAX_ROW_FIELDS:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 

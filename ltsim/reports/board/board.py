@@ -1,4 +1,4 @@
-"""Layout of a hall whose stations are moved by hand: its accuracy, and its files."""
+"""Layout of a hall for the interactive planner: stations are moved by hand; evaluation of the accuracy, and files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MAX_LAYOUT_STATIONS = 40
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
 MAX_OFFERED_PLACES = 200
-"""Largest number of places of a grid at which a further station is offered."""
+"""Largest number of places on a grid that are offered for an additional station."""
 MAX_COORDINATE_MM = 1e6
 """Largest magnitude of a coordinate [mm] of a station."""
 

@@ -160,8 +160,8 @@ def factor_panels_figure(
         The factor along the lines, with its unit.
     published : float, optional
         A published value to compare with.
-    joined : bool
-        True to join the points of a line. If False, each panel has its own factor, named by the panel.
+    joins_points : bool
+        True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
     panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_FIGURE_PANELS]
     across = min(len(panels), 2)

@@ -1,4 +1,4 @@
-"""Factors of a campaign in its pictures: which vary, which lie along the lines and panels, and the drawn statistics."""
+"""Factors of a campaign in its figures: the varying ones, their roles (axis, lines, panels), the figures."""
 
 from __future__ import annotations
 

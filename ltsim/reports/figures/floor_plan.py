@@ -19,7 +19,7 @@ from ltsim.reports.workshop import PlacedWorkshop
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker in which a label is tried, relative to the preferred one."""
+"""Candidate directions [rad] of a label from its marker, relative to the preferred direction."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a place to its name."""
 LETTER_SIZE_RATIO = (0.62, 1.25)
@@ -86,7 +86,7 @@ FLOOR_PLAN_HEIGHTS = (3.6, 6.6)
 LISTED_STATION_HEIGHT = 0.16
 """Additional height of the figure per listed station [inch]."""
 MAX_WALL_DISTANCE = 0.35
-"""Distance [m] from a side of the floor within which a target belongs to its wall."""
+"""Largest distance [m] of a target from a side of the floor at which the target is on the wall there."""
 
 
 @style.with_figure_style
@@ -105,11 +105,11 @@ def floor_plan(
     workshop : PlacedWorkshop
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
-    coordinates : bool
+    lists_coordinates : bool
         True to list the places of the tripods below the figure.
-    ground : Floor, optional
+    floor : Floor, optional
         Areas for tripods, areas to keep free, and doors of a plan.
-    marks : function, optional
+    draw_marks : function, optional
         Function that draws further marks, with labels for the legend, and returns their names.
     """
     low, high = _axis_limits(workshop)
@@ -200,7 +200,7 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
 
 
 def _axis_limits(workshop: PlacedWorkshop) -> Floats:
-    """Limits (2, 2) of x and y that show the whole floor and the inner circles."""
+    """Limits (2, 2) of x and y that show the whole floor and the inner circles of the shadow cones."""
     radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]

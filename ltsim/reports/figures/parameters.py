@@ -1,4 +1,4 @@
-"""Figures of parameters and their course, criteria, budgets, and the trade-off of plans."""
+"""Figures of parameters, their course over calibrations, criteria, budgets, and the quality of plans over time."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
 
 @style.with_figure_style
 def criteria_figure(criteria: Table) -> Figure:
-    """Criteria of a table `CRITERIA`, mean and largest, with an arrow from before to after."""
+    """Criteria of a table `CRITERIA_TABLE`, mean and largest, with an arrow from before to after."""
     lines = []
     for row in criteria.json():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
@@ -201,8 +201,8 @@ def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequenc
     ----------
     names : sequence of str
         The results.
-    shares : mapping of str to sequence of float
-        Share of each source in every result, 0 to 1.
+    variance_fractions : mapping of str to sequence of float
+        Fraction of the variance by source in every result, 0 to 1.
     """
     ranked = sorted(variance_fractions, key=lambda name: -float(np.sum(variance_fractions[name])))
     largest, rest = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]

@@ -183,7 +183,7 @@ def _finding_blocks(
     adjustments: AdjustmentPair | None,
     residuals: tuple[Residuals | None, Residuals | None],
 ) -> list[Block]:
-    """Blocks of a finding: its sentence unless it is in the answer, figure, place, and table of values."""
+    """Blocks of a finding: sentence (unless the summary contains it), figure, floor plan, table of values, evidence."""
     name = effect_words(finding.effect)
     words = finding.sentence or f"{name} {_place_text(finding.where)}"
     cure = f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
@@ -214,7 +214,9 @@ def _finding_blocks(
 
 
 def finding_figure(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
-    """Figure of a finding: its response over its regressor if it has a curve, else residuals without and with it.
+    """Figure of a finding: its response over its regressor if it has a curve.
+
+    Otherwise the residuals without and with the finding.
 
     It is None for blunders such as gross errors and exchanged names, which are removed from both residuals.
     """
