@@ -191,7 +191,7 @@ class Adjustment(Result):
         differences = problem.difference_rows.declared_components[:, :2].any()
         lengths = problem.used_readings[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "rough coordinates of two targets of the datum would"
+            cure = "approximate coordinates of two targets of the datum would"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True

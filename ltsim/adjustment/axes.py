@@ -168,7 +168,7 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
     why = "they are left-handed" if is_mirrored else "check the hall and the names"
-    message = f"its coordinates do not fit the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
+    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
     raise RecordError(message, file=source)
 
 

@@ -331,7 +331,7 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
     """
     held = np.any([c.is_fixed[0] for c in calibrations], axis=0)
     if held.all():
-        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
+        raise RecordError("no parameter is estimated in all calibrations; calibrate all with the same parameters")
     return tuple(c.for_instrument(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
 
 

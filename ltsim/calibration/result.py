@@ -288,7 +288,7 @@ def _free_frame_text(adjustment: Adjustment, first: str) -> str:
         axes = "the axes and the scale" if len(adjustment.problem.structure.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
-        return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
+        return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {first}"
     return f"the frame of station {first}"
 
 

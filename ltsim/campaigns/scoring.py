@@ -114,7 +114,8 @@ def run_external_calibrator(
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (RecordError, OSError, KeyError, TypeError) as problem:
-            raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
+            message = f"the result is no list of parameters with name, value and unit ({problem!r})"
+            raise RecordError(message, file=where) from None
         return _validated_estimates(listed, where)
 
 

@@ -56,8 +56,8 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 
 def _title_and_cause(effect: type[Effect]) -> str:
-    card = catalogue_entry(effect)
-    return f"{card.title}: {card.cause_description}"
+    listed = catalogue_entry(effect)
+    return f"{listed.title}: {listed.cause_description}"
 
 
 def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:

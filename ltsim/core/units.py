@@ -15,6 +15,7 @@ MICRORADIAN = 1e-6
 ARCSECOND = math.pi / 648_000
 DEGREE = math.pi / 180
 GON = math.pi / 200
+QUARTER_TURN = 0.5 * math.pi
 PPM = 1e-6
 EARTH_RADIUS = 6_371_000.0
 """Mean radius [m] of the earth."""

@@ -189,7 +189,7 @@ def _convention_from_lengths(
     first, second = np.argsort(gaps)[:2]
     if gaps[first] > 1e-2 or gaps[first] * MIN_MISFIT_RATIO > gaps[second]:
         return None
-    return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
+    return open_[first], f"two stations then measure equal lengths within 1 part in {1 / max(gaps[first], 1e-9):.0f}"
 
 
 def _missing_hint_error(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
+from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import SourceLocation
 
@@ -58,7 +58,6 @@ def _length_error(name: str, unit: str, millimetres: float) -> TranscriptionErro
     return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / millimetres, 0.0),))
 
 
-QUARTER_TURN = 0.5 * np.pi
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 
 UNIT_ERRORS = (

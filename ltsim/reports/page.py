@@ -51,7 +51,7 @@ HEADLINES = {
 
 PAGE_FILE = "report.html"
 """Name of the page in a folder."""
-MANIFEST_FILE = "manifest.json"
+CAMPAIGN_MANIFEST = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
 HEADLINE_FILES = ("diagnosis.json", "calibration.json")
 """Results that determine the headline of a page before all others."""
@@ -74,7 +74,7 @@ RESULT_FILES = (
     "calibration.json",
     OBSERVATIONS_FILE,
     *(k for k in SECTION_WRITERS if k not in HEADLINE_FILES),
-    MANIFEST_FILE,
+    CAMPAIGN_MANIFEST,
 )
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
@@ -83,7 +83,7 @@ def section_of_part(part: PagePart, detail: WorkshopDetail = "none") -> Section:
     """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
     if part.result_file == OBSERVATIONS_FILE:
         return recording_section(part.folder, detail=detail, is_brief=part.is_brief)
-    if part.result_file == MANIFEST_FILE:
+    if part.result_file == CAMPAIGN_MANIFEST:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 

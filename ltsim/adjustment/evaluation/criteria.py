@@ -240,7 +240,7 @@ def evaluate_criteria(
 
         raw = disagreement_of(before)
         if not len(raw.values):
-            raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
+            raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
         return CriterionEntry.from_differences(raw, None if after is None else disagreement_of(after))
 
     return CriteriaEntry(

@@ -2,8 +2,8 @@
 
 `Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
 `name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
-changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a card: a physical cause with a
-name.
+changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a catalogue entry: a physical
+cause with a name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """

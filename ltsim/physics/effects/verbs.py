@@ -205,7 +205,7 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     """Registration of a user-defined effect for this session; also a decorator of its class.
 
     Afterwards its name is valid in scenarios, in `with_effects`, in campaigns (including their worker processes) and in
-    a diagnosis. A card is optional. For other sessions the class must be in a package.
+    a diagnosis. A catalogue entry is optional. For other sessions the class must be in a package.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ from ltsim.simulation.truth import AppliedEffect, Truth
 
 INJECTED_TABLE = Table(
     "injected.csv",
-    "injected effects of a simulated recording beside the findings",
+    "injected effects of a simulated recording, and the findings",
     texts(quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"),
 )
 """Table of injected effects and findings."""
