@@ -326,7 +326,9 @@ def _report(
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = detectability
     return Diagnosis.of(
-        DiagnosisArrays(*_averaged(explained, shifts, noises), baseline, adjusted),
+        DiagnosisArrays(
+            *_averaged(explained, shifts, noises), case.expected_variance_factors(model.effects), baseline, adjusted
+        ),
         recording=source,
         verdict=verdict,
         summary=summarise(

@@ -54,6 +54,8 @@ class DiagnosisArrays(ValueEquality):
     targets: Targets
     averaging_change: Floats
     """Change (n, 3) [m, rad, rad] of the readings averaged over the explanations, minus that of the refit."""
+    variance_factors: Floats
+    """Factors (n, 3) on the declared variance, averaged over the changes of the noise."""
     baseline: Adjustment
     """Adjustment of the ordinary model."""
     adjusted: Adjustment
@@ -201,9 +203,10 @@ class Diagnosis(ResultFile):
         ends = zip(lengths.first_targets.tolist(), lengths.second_targets.tolist(), strict=True)
         return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
 
-    def variance_factors(self, recording: Recording) -> Floats:
-        """Factors (n, 3) on the declared variance of the readings in the model of the diagnosis; 1 if unchanged."""
-        return np.nan_to_num((self.adjusted.problem.sigma / recording.sigma()) ** 2, nan=1.0)
+    @property
+    def variance_factors(self) -> Floats:
+        """Factors (n, 3) on the declared variance of the readings: posterior means; 1 without a change of the noise."""
+        return self.arrays.variance_factors
 
     @property
     def coefficients(self) -> int:

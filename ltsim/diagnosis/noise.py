@@ -46,6 +46,8 @@ from ltsim.solve.projection import BasisProjection
 
 COMPARED = 6
 """Number of families that are evaluated without approximation, the most probable first."""
+AVERAGED = 12
+"""Number of patterns, the most probable first, over which the variance is averaged."""
 AT_ONCE = 1_500_000
 """Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
 COMPARABLE = 0.2
@@ -207,15 +209,56 @@ class NoiseBank:
                 if self.basis is not None:
                     value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
             entries.append((value, self.hypotheses[likeliest]))
-        for entry in self.amounts:
-            value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
-            effect = entry.most_likely_effect(residual, redundancy)
-            entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
-            if isinstance(entry, NoiseWindows) and value > max(0.0, *(COMPARABLE * v for v, _ in entries)):
-                assert isinstance(effect, VarianceFunction)
-                place, alone = entry.confined(effect, residual, redundancy)
-                entries.append((alone + self.share(entry.name), NoiseHypothesis(entry.name, place, (0.0,))))
+        for amount, value in self.ranked_amounts(residual, redundancy, max(0.0, *(value for value, _ in entries))):
+            effect = amount.most_likely_effect(residual, redundancy)
+            entries.append((value, NoiseHypothesis(amount.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(entries, key=lambda entry: -entry[0])
+
+    def expected_factors(self) -> Floats:
+        """Posterior mean (n, 3) of the variance factors over all hypotheses, "no change" included.
+
+        The mean of a variance has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
+        """
+        space, residual, redundancy = self.space, self.space.residuals, self.space.redundancy
+        values, factors = [0.0], [np.ones(space.sigma.shape)]
+        for hypothesis, value in self._ranked_patterns(residual, redundancy):
+            sizes = np.array(most_likely(space, space.sigma, hypothesis).values)
+            values.append(value)
+            factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
+        rows = np.count_nonzero(space.used_readings)
+        for amount, value in self.ranked_amounts(residual, redundancy, max(values)):
+            values.append(value)
+            factors.append(np.ones(space.sigma.shape))
+            factors[-1][space.used_readings] = amount.expected_factors(residual, redundancy)[:rows]
+        mean = np.einsum("k,kij->ij", shares(np.array(values)), np.stack(factors))
+        return np.nan_to_num(mean, nan=1.0)
+
+    def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
+        """Most probable patterns of noise, each at its best size, with their log evidence over all sizes."""
+        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
+        prior = np.array([self.share(name) for name in self.families]) - np.log(np.bincount(self.family))
+        members: dict[NoiseSignature, list[int]] = {}
+        for i, hypothesis in enumerate(self.hypotheses):
+            members.setdefault(hypothesis.effect, []).append(i)
+        evidence = np.array([float(log_sum_exp((ratio + prior[self.family])[same])) for same in members.values()])
+        ranked = []
+        for same, value in [(list(members.values())[i], evidence[i]) for i in np.argsort(-evidence)[:AVERAGED]]:
+            best = same[int(np.argmax(ratio[same]))]
+            exact = float(ratio[best])
+            if self.basis is not None:
+                exact = self.exact(best, residual, np.zeros((len(residual), 0)))
+            ranked.append((self.hypotheses[best], float(value + exact - ratio[best])))
+        return ranked
+
+    def ranked_amounts(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[Amounts, float]]:
+        """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
+        ranked = [(amount, self._log_evidence_of(amount, residual, redundancy)) for amount in self.amounts]
+        least = max(rival, *(value for _, value in ranked)) * COMPARABLE
+        places = [x for amount, value in ranked if value > least for x in amount.confined(residual, redundancy)]
+        return ranked + [(place, self._log_evidence_of(place, residual, redundancy)) for place in places]
+
+    def _log_evidence_of(self, amount: Amounts, residual: Floats, redundancy: Floats) -> float:
+        return float(self._of_amounts(amount, residual[:, None], redundancy)[0])
 
 
 def _patterns(

@@ -7,11 +7,12 @@ from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.special import expit, log_expit, logit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.diagnosis.evidence import restricted
+from ltsim.diagnosis.evidence import restricted, shares
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.variance import VarianceFunction, noise_groups
@@ -56,6 +57,26 @@ class Amounts:
         """Log evidence (trials,) for residuals (m, trials)."""
         raise NotImplementedError
 
+    def confined(self, residual: Floats, redundancy: Floats) -> tuple[Amounts, ...]:
+        """The same change of the noise at the best of several places; empty if it has no places."""
+        del residual, redundancy
+        return ()
+
+    def expected_factors(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (m,) of the variance factors, for residuals (m,) of a given redundancy; 1 without a member."""
+        factors: Floats = 1.0 + self.members.T @ self._expected_added(residual, redundancy)
+        return factors
+
+    def _expected_added(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (g,) of the added variance of each group, relative to the declared one."""
+        raise NotImplementedError
+
+    def _added_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (g,) of the added variance of each group if its noise differs from the declared one."""
+        logs = restricted(self.members @ residual**2, self.members @ redundancy, self.factors[:, None])
+        mean: Floats = np.sum(shares(logs) * (self.factors[:, None] - 1.0), axis=0)
+        return mean
+
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
         """Effect whose sizes are estimated for residuals (m,) of a given redundancy."""
         del residual, redundancy
@@ -74,15 +95,33 @@ class Level(Amounts):
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
-        common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
-        together = common.averaged(residual, redundancy)[0]
+        return np.logaddexp(*self._log_evidences(residual, redundancy)) - np.log(2.0)
+
+    @property
+    def _common(self) -> Level:
+        """Level with a single group of all readings."""
+        return replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+
+    def _log_evidences(self, residual: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+        """Log evidence (trials,) of a common factor, and of separate ones for any nonempty set of observables."""
+        together = self._common.averaged(residual, redundancy)[0]
         any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
         separate = (
             any_observable
             + np.log(-np.expm1(-np.maximum(any_observable, np.finfo(np.float64).tiny)))
             - np.log(2.0 ** len(OBSERVABLES) - 1.0)
         )
-        return np.logaddexp(together, separate) - np.log(2.0)
+        return together, separate
+
+    def _expected_added(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over a common factor and separate ones."""
+        common, each = self._common, self.averaged(residual[:, None], redundancy)[:, 0]
+        noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
+        common_evidence, separate_evidence = self._log_evidences(residual[:, None], redundancy)
+        probability = float(expit(common_evidence - separate_evidence)[0])
+        together = probability * common._added_if_noisy(residual, redundancy)
+        added: Floats = together + (1.0 - probability) * noisy * self._added_if_noisy(residual, redundancy)
+        return added
 
 
 class NoiseByGroup(Amounts):
@@ -128,6 +167,16 @@ class NoiseByGroup(Amounts):
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence, averaged over the share of noisy groups."""
+        return log_sum_exp(self._by_share(residual, redundancy)) - np.log(len(NOISY_GROUP_SHARE))
+
+    def _by_share(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (q, trials) for each share of noisy groups."""
         each = self.averaged(residual, redundancy)
-        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
-        return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
+        return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE])
+
+    def _expected_added(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over the share of noisy groups."""
+        weight = shares(self._by_share(residual[:, None], redundancy)[:, 0])
+        log_odds = self.averaged(residual[:, None], redundancy)[:, 0] + logit(NOISY_GROUP_SHARE)[:, None]
+        added: Floats = weight @ expit(log_odds) * self._added_if_noisy(residual, redundancy)
+        return added

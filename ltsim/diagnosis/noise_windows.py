@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import best_of, restricted
+from ltsim.diagnosis.evidence import best_of, restricted, shares
 from ltsim.diagnosis.noise_groups import MIN_READINGS, SCATTERING, Amounts
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
@@ -24,6 +24,8 @@ from ltsim.scene.regions import candidate_regions
 
 FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state that are averaged over."""
+DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
+"""Factors on the variance over which its posterior mean is taken, in steps of 15 %."""
 WINDOWS = np.array([1.5, 6.0])
 """Mean numbers of windows in a recording that are averaged over."""
 MAX_STEPS = 200
@@ -44,10 +46,13 @@ class NoiseWindows(Amounts):
     ----------
     times : (steps + 1,) float
         Ends [s] of the steps.
+    n_places : int
+        Number of places of which this one is the best.
     """
 
     times: Floats
     space: ResidualSpace
+    n_places: int = 1
 
     @classmethod
     def of(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
@@ -105,23 +110,41 @@ class NoiseWindows(Amounts):
             total += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
         flat = total.reshape(-1, total.shape[-1])
-        return log_sum_exp(flat) - np.log(len(flat))
+        return log_sum_exp(flat) - np.log(len(flat) * self.n_places)
+
+    def _expected_added(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over all sequences of the states by forward and backward recursion."""
+        dense = replace(self, factors=DENSE_FACTORS)
+        logs, go = dense._ratios(residual[:, None], redundancy)[..., 0], self._changes[:, None, None]
+        quiet = noisy = np.full((len(go), *logs.shape[1:]), 0.5)
+        total, ahead = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
+        for here, gain in zip(ahead, np.exp(logs), strict=True):
+            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+            total += np.log(quiet + noisy)
+            here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
+            quiet, noisy = here
+        weight = shares(total.ravel()).reshape(total.shape) * (DENSE_FACTORS - 1.0)
+        added = np.empty((len(logs), len(OBSERVABLES)))
+        quiet = noisy = np.ones(total.shape)
+        for step in reversed(range(len(logs))):
+            in_noise = ahead[step, 1] * noisy / (ahead[step, 0] * quiet + ahead[step, 1] * noisy)
+            added[step] = (weight * in_noise).sum(axis=(0, 2)) @ ACTS
+            noisy = noisy * np.exp(logs[step])
+            quiet, noisy = quiet + go * (noisy - quiet), noisy + go * (quiet - noisy)
+            quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
+        return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
         """Effect with the observables and the windows of the most probable sequence of states (Viterbi's algorithm)."""
         ratios = self._ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
         best, states = _most_probable_states(ratios, self._changes[0])
         acts = SCATTERING[best // len(self.factors)]
-        return VarianceFunction(acts, covariates=("time",), covariate_band=self._windows(states))
+        assert isinstance(self.effect, VarianceFunction)
+        return replace(self.effect, observables=acts, covariate_band=self._windows(states))
 
-    def confined(
-        self, windows: VarianceFunction, residual: Floats, redundancy: Floats
-    ) -> tuple[VarianceFunction, float]:
-        """Windows of the noise at one place, and their log evidence.
-
-        The place is a group of targets, a set-up or a region of the hall; the windows are found again there.
-        """
-        s = self.space.sightings
+    def confined(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
+        """Windows at the best place: a group of targets, a set-up or a region of the hall."""
+        s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
         ]
@@ -131,16 +154,13 @@ class NoiseWindows(Amounts):
             for region in candidate_regions(s, SHAPES)
         ]
         if not places:
-            return windows, -np.inf
+            return ()
         place = places[best_of(np.array([self._log_evidence(effect, residual, redundancy) for effect in places]))]
-        whole = replace(place, covariate_band=(self.times[0], self.times[-1]))
+        whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
         here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
         rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
-        inside, share = (residual * rows)[:, None], redundancy * rows
-        ratios = self._ratios(inside, share)[:, SCATTERING.index(windows.observables), :, 0]
-        states = _most_probable_states(ratios, self._changes[0])[1]
-        evidence = float(self.evidence(inside, share)[0]) - float(np.log(len(places)))
-        return replace(place, covariate_band=self._windows(states)), evidence
+        members = sp.csr_array(self.members @ sp.diags_array(rows))
+        return (replace(self, effect=whole, members=members, n_places=len(places)),)
 
     def _log_evidence(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of an effect, averaged over its sizes."""

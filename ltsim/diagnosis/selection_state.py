@@ -122,9 +122,7 @@ class SelectionState:
             self._searcher or self._scored,
             None,
         )
-        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
-        tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
-        self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
+        self.bank = self._noise_bank(self.space)
 
     def noises(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
@@ -151,6 +149,23 @@ class SelectionState:
                 self.noise[i] = replace(most_likely(space, others, change), drop=change.drop)
             self.sigma = self._weighted(self.noise)
         return self.refit((), self.sigma).adjustment
+
+    def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
+        """Posterior mean (n, 3) of the factors on the declared variance, mean `effects` being in the model.
+
+        Each change of the noise is averaged over its alternatives, given the others.
+        """
+        factors = np.ones(self.sigma.shape)
+        for change in self.noise:
+            others = self._weighted([n for n in self.noise if n is not change])
+            space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
+            factors *= self._noise_bank(space).expected_factors()
+        return factors
+
+    def _noise_bank(self, space: ResidualSpace) -> NoiseBank:
+        """Noise hypotheses on a residual space."""
+        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
+        return NoiseBank.of(space, noise_hypotheses(space.sightings, self.recording.instruments), quieter=quieter)
 
     def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:
         """Re-estimation of the variance components with effects in the model.

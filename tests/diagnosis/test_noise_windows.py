@@ -13,7 +13,8 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
-from ltsim.diagnosis.noise_windows import NoiseWindows
+from ltsim.diagnosis.noise_groups import Level, NoiseByGroup
+from ltsim.diagnosis.noise_windows import ACTS, FACTORS, NoiseWindows
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
@@ -76,3 +77,57 @@ def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace)
     pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
     assert best.family == "unknown:noise:windows"
     assert (pattern == noisy).mean() > 0.95
+
+
+def test_expected_factors_are_the_mean_over_all_sequences(
+    space: ResidualSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_STEPS", 4)
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.DENSE_FACTORS", FACTORS)
+    windows = NoiseWindows.of(space)[0]
+    residual, sets = 1.5 * space.residuals, len(ACTS)
+    ratios = windows._ratios(residual[:, None], space.redundancy)[..., 0].reshape(4, sets, -1)
+    logs, added = [], []
+    for go, acts, factor in product(windows._changes, range(sets), range(len(windows.factors))):
+        for states in product((0, 1), repeat=5):
+            odds = [np.log(go if a != b else 1.0 - go) for a, b in pairwise(states)]
+            noisy = np.array(states[1:])
+            logs.append(sum(odds) + noisy @ ratios[:, acts, factor])
+            added.append((windows.factors[factor] - 1.0) * np.outer(noisy, ACTS[acts]).ravel())
+    weight = np.exp(np.array(logs) - log_sum_exp(np.array(logs)))
+    expected = 1.0 + windows.members.T @ (weight @ np.array(added))
+    assert windows.expected_factors(residual, space.redundancy) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> None:
+    """By Stein's loss the posterior mean is nearer to the true variance than the most probable windows."""
+    time, used = space.sightings.time, space.used_readings
+    noisy = (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.6))
+    truth = np.ones(used.shape)
+    truth[noisy, 1:] = 2.0
+    losses = []
+    for seed in range(6):
+        residual = with_angular_noise(space, noisy, 1.0, stream(seed, "edges"))
+        case = replace(space, residuals=residual)
+        windows = NoiseWindows.of(case)[0]
+        likeliest = windows.most_likely_effect(residual, space.redundancy)
+        sizes = most_likely(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).values
+        single = (likeliest.variance(space.sightings, space.sigma, np.array(sizes)) / space.sigma**2)[used]
+        mean = windows.expected_factors(residual, space.redundancy)[: len(single)]
+        losses.append([np.sum(truth[used] / f - 1.0 - np.log(truth[used] / f)) for f in (single, mean)])
+    single, mean = np.mean(losses, axis=0)
+    assert mean < 0.75 * single
+
+
+def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
+    level = Level.of(space, quieter=True)
+    doubled = level.expected_factors(2.0 * space.residuals, space.redundancy)
+    assert doubled[: int(space.used_readings.sum())] == pytest.approx(4.0, rel=0.25)
+    assert (doubled[int(space.used_readings.sum()) :] == 1.0).all()
+    by_target = next(a for a in NoiseByGroup.all_of(space) if a.effect.group_kind == "target")
+    noisy = space.sightings.target == 0
+    residual = with_angular_noise(space, noisy, 10.0, stream(4, "group"))
+    factors = by_target.expected_factors(residual, space.redundancy)
+    of_target = noisy[np.nonzero(space.used_readings)[0]]
+    rows = len(of_target)
+    assert factors[:rows][of_target].min() > 10.0 and factors[:rows][~of_target].max() < 2.0
