@@ -233,7 +233,7 @@ def _effect_names(between: str | None) -> tuple[str, ...]:
 def _propose_next_measurement(
     terminal: Terminal, recording: Recording, effect_names: tuple[str, ...], out: Path | None
 ) -> None:
-    from ltsim.diagnosis.detectability import open_question
+    from ltsim.diagnosis.detectability import ambiguous_explanations
     from ltsim.recordings.result_file import write_result
 
     terminal.print_text(recording.headline)
@@ -244,7 +244,7 @@ def _propose_next_measurement(
             diagnosis = lt.diagnose(recording)
         summary = diagnosis.summary
         terminal.print_text(summary)
-        effect_names, modelled = open_question(diagnosis)
+        effect_names, modelled = ambiguous_explanations(diagnosis)
     with terminal.show_progress("trying further measurements", 200) as advance:
         reports: dict[str, Any] = {}
         content = lt.next_measurement(

@@ -87,7 +87,7 @@ def _(result: Criteria) -> Figure:
 @figure_of.register
 def _(result: Diagnosis) -> Figure:
     """Figure of a diagnosis: the curve or residuals of the first finding; for a consistent recording its residuals."""
-    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline_adjustment, result.final_adjustment))
     for finding in result.findings[:1]:
         draw = finding_figure(finding, before, after)
         if draw is not None:

@@ -25,7 +25,7 @@ from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import ZScoreSummary
 from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.schema import Curve, Where
+from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
@@ -176,7 +176,9 @@ def residuals_by_station_figure() -> Figure:
 
 def signature_figure() -> Figure:
     first, second = residuals()
-    return misfits.signature_figure(first, second, "elevation", Where(observables=("elevation",), stations=("S2",)))
+    return misfits.signature_figure(
+        first, second, "elevation", FindingScope(observables=("elevation",), stations=("S2",))
+    )
 
 
 def trade_off_figure() -> Figure:
@@ -212,7 +214,7 @@ def displacement_figure() -> Figure:
 def response_curve_figure() -> Figure:
     at = np.linspace(-0.6, 0.9, 40)
     value, sigma = (3.0 * np.sin(3 * at)).tolist(), [0.4] * 40
-    curve = Curve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
+    curve = ResponseCurve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
     return misfits.response_curve_figure(curve, "distance", residuals()[0])
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Misfit, Where
-from ltsim.diagnosis.words import catalogue_sentence, summarise
+from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
+from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.reports.document import ReportContext, Section
 from ltsim.reports.sections.diagnosis import diagnosis_section
@@ -27,15 +27,15 @@ KEYS = re.compile(r"\b(" + "|".join(key for key in sorted({*NAMES, "tilt-x"}) if
 
 def finding(name: str, other: str) -> Finding:
     where, rows = (
-        Where(stations=("S3",)),
-        (Estimate(name="azimuth-eccentricity-sin", value=12.1, sigma=1.8, unit="urad"),),
+        FindingScope(stations=("S3",)),
+        (ParameterEstimate(name="azimuth-eccentricity-sin", value=12.1, sigma=1.8, unit="urad"),),
     )
     return Finding(
         effect=name,
         known=True,
         where=where,
         parameters=rows,
-        evidence=Evidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
+        evidence=FindingEvidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
         sentence=catalogue_sentence(name, where, rows, 0.8),
         equivalents=(Equivalent(effect=other, probability=0.2),),
     )
@@ -43,7 +43,7 @@ def finding(name: str, other: str) -> Finding:
 
 @pytest.mark.parametrize(("kind", "other"), list(zip(KINDS, KINDS[1:] + KINDS[:1], strict=True)))
 def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> None:
-    answer = summarise(
+    answer = diagnosis_summary(
         "mismatch", [finding(kind.name, other.name)], 0.01, Misfit(chi2=9.0, dof=3), Misfit(chi2=3.0, dof=2)
     )
     assert "cannot exclude" in answer

@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.schema import Curve, Where
+from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
@@ -76,7 +76,7 @@ def residuals_by_station_figure(after: Residuals, before: Residuals | None = Non
 
 
 @style.with_figure_style
-def signature_figure(before: Residuals, after: Residuals, covariate: str, where: Where) -> Figure:
+def signature_figure(before: Residuals, after: Residuals, covariate: str, where: FindingScope) -> Figure:
     """Residuals of the observables of a finding over a covariate, without it (left) and with it (right).
 
     Dots outside the place of the finding are pale.
@@ -110,7 +110,7 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
 
 
 @style.with_figure_style
-def response_curve_figure(curve: Curve, response: str, residuals: Residuals | None = None) -> Figure:
+def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
     """Curve of a response over its covariate, with the 95 % band.
 
     `residuals` without the finding are drawn as dots behind the curve of an observable, which then has the sign of a

@@ -14,8 +14,15 @@ from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import BEFORE, TARGETS, UNDETECTABLE, Finding, Misfit, Where
-from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
+from ltsim.diagnosis.schema import (
+    DIAGNOSED_TARGETS_TABLE,
+    RESIDUALS_BEFORE_TABLE,
+    UNDETECTABLE_TABLE,
+    Finding,
+    FindingScope,
+    Misfit,
+)
+from ltsim.diagnosis.words import clear_constants_texts, effect_text, parameter_text
 from ltsim.physics.effects import title_of
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
@@ -82,10 +89,10 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding_blocks(finding, number_, as_sentence(content.summary), pair, (before, after))
     blocks += target_table(
-        context.companion_file(TARGETS.file, content), note="Adjusted with the findings in the model."
+        context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
     modelled = ", with the findings in the model" if content.findings else ""
-    if constants := clear_constants(content.instruments):
+    if constants := clear_constants_texts(content.instruments):
         blocks.append(NoteBlock(f"Most significant constants of the instruments{modelled}", f"{'; '.join(constants)}."))
     blocks += _undetectable_table(content)
     shown = len(blocks)
@@ -170,7 +177,9 @@ def _residuals_before_and_after(
     content: Diagnosis, context: ReportContext, adjustments: AdjustmentPair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings, with covariates from the geometry of the recording."""
-    file, stored = (context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, BEFORE.file))
+    file, stored = (
+        context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, RESIDUALS_BEFORE_TABLE.file)
+    )
     geometry = Residuals.from_adjustment(adjustments[0]) if adjustments is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -184,7 +193,7 @@ def _finding_blocks(
     residuals: tuple[Residuals | None, Residuals | None],
 ) -> list[Block]:
     """Blocks of a finding: sentence (unless the summary contains it), figure, floor plan, table of values, evidence."""
-    name = effect_words(finding.effect)
+    name = effect_text(finding.effect)
     words = finding.sentence or f"{name} {_place_text(finding.where)}"
     cure = f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
@@ -199,7 +208,7 @@ def _finding_blocks(
         blocks.append(PictureBlock(f"Effect of finding {finding_number}", drawn, text))
     blocks += _finding_place_blocks(finding, finding_number, adjustments)
     evidence = finding.evidence
-    sizes = [p.model_copy(update={"name": parameter_words(p.name)}) for p in finding.parameters]
+    sizes = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place_text(finding.where)}",
         "without it, no network fits the readings"
@@ -207,7 +216,7 @@ def _finding_blocks(
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
-        *(f"alternative: {effect_words(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
+        *(f"alternative: {effect_text(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
     ]
     blocks += entries_table(f"Finding {finding_number} in figures", sizes, "name=parameter", "value+-sigma", "unit")
     return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", lines)]
@@ -256,7 +265,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
     return [PictureBlock(f"Place of finding {finding_number}", figure, caption)]
 
 
-def _place_text(where: Where) -> str:
+def _place_text(where: FindingScope) -> str:
     parts = [
         f"{word} {listing(list(names))}"
         for word, names in (
@@ -288,7 +297,7 @@ def _undetectable_table(content: Diagnosis) -> list[TableBlock]:
     ]
     worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
     named = [u.model_copy(update={"effect": title_of(u.effect)}) for u in worst]
-    table = UNDETECTABLE.with_rows(named).with_columns("effect undetected_target_error_um detectable_at_factor")
+    table = UNDETECTABLE_TABLE.with_rows(named).with_columns("effect undetected_target_error_um detectable_at_factor")
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
     note += f" To detect them: {cures}." if cures else ""

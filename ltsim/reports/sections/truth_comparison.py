@@ -13,7 +13,7 @@ from ltsim.core.results import Table, texts
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.words import effect_words, parameter_words
+from ltsim.diagnosis.words import effect_text, parameter_text
 from ltsim.physics.effects import title_of
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
@@ -70,7 +70,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
         [
             "effect",
             title_of(injected.effect.name) if injected else MISSING_TEXT,
-            effect_words(finding.effect) if finding else "not detected",
+            effect_text(finding.effect) if finding else "not detected",
         ],
         ["where", *where],
     ]
@@ -78,7 +78,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
         text = with_sigma(estimate.value, estimate.sigma) if estimate else MISSING_TEXT
-        rows.append([f"{parameter_words(name)} [{unit}]" if unit else parameter_words(name), number_text(value), text])
+        rows.append([f"{parameter_text(name)} [{unit}]" if unit else parameter_text(name), number_text(value), text])
     return rows
 
 
