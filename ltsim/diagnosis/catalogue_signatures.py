@@ -32,7 +32,7 @@ N_VECTORS_PER_PART = 128
 """Number of vectors that are weighted at a time."""
 
 
-ORDINARY_CALIBRATION_EFFECTS = {type(effect) for effect in BASELINE_EFFECTS}
+ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
 """Effects of the ordinary calibration, which are always estimated; as hypotheses they mean a value
 beyond their prior.
 """
@@ -42,10 +42,7 @@ def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) 
     """Every effect of the catalogue, at every place and shape; constants of each of several `instruments` too."""
     trackers = instrument_places(sightings, instruments)
     constants = [
-        kind(stations=place.stations)
-        for kind in CATALOGUE
-        if kind in ORDINARY_CALIBRATION_EFFECTS
-        for place in trackers
+        kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY_CALIBRATION_TYPES for place in trackers
     ]
     kinds = [kind for kind in CATALOGUE if not issubclass(kind, NoiseEffect)]
     return [*constants, *(e for kind in kinds for e in kind.candidates(sightings))]
@@ -106,11 +103,12 @@ class CatalogueSignatures:
 
     Attributes
     ----------
-    effects : list of Tunable
+    effects : list of CandidateEffect
         Effects that change a reading.
-    groups : list of Group
+    groups : list of SignatureGroup
     families : tuple of str
-    family : (h,) int
+    family_of_effect : (h,) int
+        Index of the family of each effect.
     """
 
     effects: list[CandidateEffect]
@@ -155,7 +153,7 @@ class CatalogueSignatures:
         index = {name: i for i, name in enumerate(names)}
         return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
-    def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
+    def with_weights_of(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
         """Signatures with the weights of another adjustment of the same readings.
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
@@ -194,7 +192,7 @@ class CatalogueSignatures:
         for family, effect in zip(self.family_of_effect.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
             families[family].append(effect)
-        return [family for family in families if type(family[0]) not in ORDINARY_CALIBRATION_EFFECTS]
+        return [family for family in families if type(family[0]) not in ORDINARY_CALIBRATION_TYPES]
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, from that of each effect (h, ...)."""
@@ -209,7 +207,7 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     """
     if (
         not isinstance(effect, Effect)
-        or type(effect) in ORDINARY_CALIBRATION_EFFECTS
+        or type(effect) in ORDINARY_CALIBRATION_TYPES
         or effect.stage == LightPathStage.AIR
     ):
         return effect, 1.0

@@ -27,7 +27,7 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
-MAX_SIGNATURE_ENTRIES = 1_000_000
+MAX_PROJECTED_ENTRIES = 1_000_000
 """Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
 MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
@@ -46,7 +46,7 @@ def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSi
 
     Parameters
     ----------
-    cards : CatalogueSignatures
+    catalogue_signatures : CatalogueSignatures |
         All hypotheses of the catalogue.
     """
     detectable, hidden = [], []
@@ -66,7 +66,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, MAX_SIGNATURE_ENTRIES // (space.n_rows * size))
+        step = max(1, MAX_PROJECTED_ENTRIES // (space.n_rows * size))
         for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)

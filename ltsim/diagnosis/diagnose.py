@@ -53,7 +53,7 @@ MIN_REMAINING_OFFSET = 0.5
 """Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
 be reported.
 """
-MIN_LOG_EVIDENCE_GAIN = 2.0
+MIN_EFFECT_LOG_EVIDENCE = 2.0
 """Smallest log evidence of an additional effect: a geometric prior on the number of effects, with prior odds of e^-2 (1
 to 7) for each additional one.
 """
@@ -81,8 +81,8 @@ def diagnose(
     history : EarlierCalibrations, optional
         Earlier calibrations that each constant of the instruments is compared with.
     held_out : bool, optional
-        Whether the search is repeated without each fold of the readings, which are then predicted: five more searches
-        if the model is not empty. None: in networks with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
+        True for a search without each fold of the readings, which are then predicted: five more searches if the model
+        is not empty. None: in networks with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def diagnose(
     errors = (
         HeldOutErrors()
         if case.searcher.is_large_network and not repeated
-        else _held_out_errors(explained, MIN_LOG_EVIDENCE_GAIN, repeated)
+        else _held_out_errors(explained, MIN_EFFECT_LOG_EVIDENCE, repeated)
     )
     detectability = detectability_report(*beginning)
     source = SourceEntry.from_recording(recording)
@@ -158,7 +158,7 @@ def _search_recording(
     """Space and hypotheses of the initial network, its detection result, the selected model if rejected, its refit."""
     beginning = case.space, case.searcher.catalogue_signatures
     detection = detect(case.searcher, case.noise_bank)
-    model = _select_model(case, MIN_LOG_EVIDENCE_GAIN, compared) if detection.p_value < level else case.empty_model
+    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, compared) if detection.p_value < level else case.empty_model
     return beginning, detection, *_refit_model(case, model)
 
 
@@ -166,10 +166,10 @@ def _contradicting_constants(
     case: SelectionState, model: Model, settled: Adjustment, compared: ConstantComparison
 ) -> list[ConstantContradiction]:
     """Constants that contradict their reference with nearly equal offsets with and without the model."""
-    with_model = compared(settled, MIN_LOG_EVIDENCE_GAIN)
+    with_model = compared(settled, MIN_EFFECT_LOG_EVIDENCE)
     if not model.members:
         return with_model
-    alone = compared(case.space.adjustment, MIN_LOG_EVIDENCE_GAIN)
+    alone = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     size = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in alone
@@ -194,7 +194,7 @@ def _select_model(case: SelectionState, threshold: float, compared: ConstantComp
         model = _mean_and_variance(case, threshold)
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
-    contradicting = compared(case.space.adjustment, MIN_LOG_EVIDENCE_GAIN)
+    contradicting = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if contradicting and sum(contradiction.evidence for contradiction in contradicting) > model.score:
         case.release_priors(contradicting)
         model = case.searcher.select_model(threshold, requires_member=False)

@@ -125,7 +125,7 @@ def log_evidence_of_coefficients(gram: Floats, score: Floats, spread: Floats) ->
     ----------
     gram, score, spread : (..., k, k), (..., k), (..., k) float
     """
-    strength, turn = _along_eigenvectors(gram, spread)
+    strength, turn = _eigen_decomposition(gram, spread)
     return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, strength)
 
 
@@ -133,7 +133,7 @@ def coefficient_posterior(
     gram: Floats, score: Floats, spread: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats, float]:
     """Mean (k,), covariance (k, k) and log evidence of coefficients with prior N(0, t^2 spread^2), averaged over t."""
-    strength, turn = _along_eigenvectors(gram, spread)
+    strength, turn = _eigen_decomposition(gram, spread)
     z = turn.T @ score
     logs = log_evidence_by_size(z**2, size_weights_and_constants(strength, sizes, log_weights))
     weight = normalised_probabilities(logs)
@@ -145,7 +145,7 @@ def coefficient_posterior(
     return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
 
 
-def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def _eigen_decomposition(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that transforms scores to them."""
     strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
     return np.maximum(strength, 0.0), spread[..., None] * vectors

@@ -43,7 +43,7 @@ from ltsim.scene.sightings import Sightings
 
 MAX_EQUIVALENTS = 3
 """Largest number of reported equivalents."""
-MAX_NOISE_ESTIMATES = 12
+MAX_REPORTED_NOISE_SIZES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
 MAX_LISTED_READINGS = 4
 """Largest number of readings that a sentence lists."""
@@ -239,14 +239,14 @@ class ExplainedRecording:
         """
         effect = self.model.members[member].effect
 
-        def located(candidate: CandidateEffect) -> FindingScope:
+        def scope_of(candidate: CandidateEffect) -> FindingScope:
             where = self._scope(candidate)
             if where.targets and not isinstance(effect, EmpiricalLaw):
                 return FindingScope(targets=where.targets)
             return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
-        scope = located(effect)
-        return self.rankings[member].posterior_probability_of(lambda h: located(h.effect) == scope)
+        scope = scope_of(effect)
+        return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
     def _scope(self, effect: CandidateEffect, carried: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
@@ -312,7 +312,7 @@ def noise_finding(
         more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
         if effect.group_kind:
-            rows = sorted(rows, key=lambda e: -e.value)[:MAX_NOISE_ESTIMATES]
+            rows = sorted(rows, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
             sure = [e for e in rows if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or rows
             worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]

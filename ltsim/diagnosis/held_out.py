@@ -45,7 +45,7 @@ def cross_validated_errors(
     Parameters
     ----------
     space : ResidualSpace
-        Its whitening defines the unit of the errors.
+        Residual space, whose whitening defines the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional

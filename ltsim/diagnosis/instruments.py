@@ -41,7 +41,7 @@ reported.
 """
 MIN_TESTED_INFORMATION = 1e-12
 """Information below which a constant is not tested (rounding)."""
-REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
+CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Text of the reference with which a constant of a corrected instrument, or of another one, is compared."""
 
 
@@ -100,10 +100,10 @@ class ConstantChange:
 
     Attributes
     ----------
-    owners : tuple of int
+    instruments : tuple of int
         The instruments.
     constant : int
-    words : str
+    reference_text : str
         Name of the reference.
     further, log_weights : (s,) float, or one
         Variances in addition to the expected one, and the logs of their weights.
@@ -145,7 +145,7 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     ours = tuple(np.flatnonzero(corrected).tolist())
     owners = [(i,) for i in np.flatnonzero(corrected | is_compared).tolist()] + ([ours] if len(ours) > 1 else [])
-    words = {group: REFERENCE_PHRASES[bool(corrected[group[0]])] for group in owners}
+    words = {group: CONSTANT_REFERENCE_PHRASES[bool(corrected[group[0]])] for group in owners}
     changes = tuple(ConstantChange(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
     return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
 

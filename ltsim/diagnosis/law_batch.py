@@ -57,10 +57,10 @@ class RowPartition:
     ----------
     order : (r,) int
         Pointings, cell after cell.
-    edges : (cells + 1,) int
-        Where each cell begins in that order, and the end.
-    members : (P, cells) csr float32
-        One where a cell lies in a place.
+    cell_edges : (cells + 1,) int
+        Start of each cell in that order, and the end of the last one.
+    is_in_place : (P, cells) csr float32
+        Indicator of the cells of each place.
     """
 
     order: Ints
@@ -145,7 +145,7 @@ class LawBatch:
     columns : RegressorColumns
         Columns of the regressors, shared by batches with the same regressors and cells.
     log_prior : (P,) float
-        Of each hypothesis and scale at a place.
+        Log prior of each hypothesis and scale at a place.
     """
 
     responses: tuple[Response, ...]

@@ -200,8 +200,8 @@ class NoiseBank:
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         tried = np.array([self.hypotheses[i].sizes for i in members[same].tolist()])
         ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
-        gained = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
-        each = log_sum_exp(np.array([gained(sizes) for sizes in np.geomspace(*ends, N_FINE_SIZES)])) - np.log(
+        reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
+        each = log_sum_exp(np.array([reml_gain(sizes) for sizes in np.geomspace(*ends, N_FINE_SIZES)])) - np.log(
             N_FINE_SIZES
         )
         subsets = [*each, each.sum()] if len(each) > 1 else each
@@ -274,7 +274,9 @@ class NoiseBank:
         """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
         ranked = [(amount, self._log_evidence_of_group_noise(amount, residual, redundancy)) for amount in self.amounts]
         least = max(rival, *(value for _, value in ranked)) * MIN_COMPARABLE_EVIDENCE_FRACTION
-        places = [x for amount, value in ranked if value > least for x in amount.at_best_place(residual, redundancy)]
+        places = [
+            x for amount, value in ranked if value > least for x in amount.noise_at_best_place(residual, redundancy)
+        ]
         return ranked + [(place, self._log_evidence_of_group_noise(place, residual, redundancy)) for place in places]
 
     def _log_evidence_of_group_noise(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> float:
@@ -322,16 +324,16 @@ def reml_gain_function(
 
     parameter = np.argmax([factors(unit) != factors(0.0 * scale) for unit in np.diag(scale)], axis=0)
 
-    def gained(values: Floats) -> Floats:
+    def gain(values: Floats) -> Floats:
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, log_restricted_likelihood_ratio(squares, share, factor), -np.inf)
         return np.asarray(np.bincount(parameter, each, minlength=len(scale)), dtype=np.float64)
 
-    return gained
+    return gain
 
 
-def _tail_with_variances(hypothesis: NoiseHypothesis, gained: Callable[[Floats], Floats]) -> NoiseHypothesis:
+def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
     """Hypothesis of a heavy tail with the variance of each reading: the inverse of its expected weight.
 
     A reading is in the tail with a probability p, there with one of the factors f; its weight is (1 - p) + p E[1 / f],
@@ -339,7 +341,7 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, gained: Callable[[Floats],
     the largest likelihood.
     """
     count = len(hypothesis.effect.parameters)
-    logs = np.stack([gained(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS]) - gained(
+    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS]) - reml_gain(
         np.zeros(count)
     )
     ratio = log_sum_exp(logs) - np.log(len(TAIL_VARIANCE_FACTORS))
@@ -348,7 +350,7 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, gained: Callable[[Floats],
     inside = expit(ratio + np.log(q / (1.0 - q)))
     weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
-    drop = 2.0 * float((gained(values) - gained(np.zeros(count))).sum())
+    drop = 2.0 * float((reml_gain(values) - reml_gain(np.zeros(count))).sum())
     sigma = np.sqrt(2.0) * (1.0 + values)  # of a variance from one reading
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
@@ -361,15 +363,15 @@ def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHy
     infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
-    gained = reml_gain_function(space, nominal, effect, space.residuals, space.redundancy)
+    reml_gain = reml_gain_function(space, nominal, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
-        return _tail_with_variances(hypothesis, gained)
+        return _tail_with_variances(hypothesis, reml_gain)
     least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))
     low, high = least, most
     for _ in range(N_GRID_ZOOMS):
         points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)
         sizes = scale * np.expm1(points)
-        ratio = np.array([gained(size) for size in sizes])
+        ratio = np.array([reml_gain(size) for size in sizes])
         weight, felt = normalised_probabilities(ratio), np.ptp(ratio, axis=0) > 0.0
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
@@ -380,9 +382,9 @@ def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHy
         )
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
-    gain = gained(values) - gained(0.0 * scale)
+    gain = reml_gain(values) - reml_gain(0.0 * scale)
     if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
         values = values * expit(gain + np.log(NOISY_GROUP_FRACTIONS.min() / (1.0 - NOISY_GROUP_FRACTIONS.min())))
-        gain = gained(values) - gained(0.0 * scale)
+        gain = reml_gain(values) - reml_gain(0.0 * scale)
     drop = 2.0 * float(gain.sum())
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))

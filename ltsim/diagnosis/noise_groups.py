@@ -59,7 +59,7 @@ class GroupNoise:
         """Log evidence (trials,) for residuals (m, trials)."""
         raise NotImplementedError
 
-    def at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoise, ...]:
+    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoise, ...]:
         """The same change of the noise at the best of several places; empty if it has no places."""
         del residual, redundancy
         return ()

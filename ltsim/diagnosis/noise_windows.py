@@ -147,7 +147,7 @@ class NoiseWindows(GroupNoise):
         assert isinstance(self.effect, VarianceFunction)
         return replace(self.effect, observables=acts, covariate_band=self._window_times(states))
 
-    def at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
+    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
         """Windows at the best place: a group of targets, a set-up or a region of the hall."""
         s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [

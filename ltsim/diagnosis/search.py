@@ -20,7 +20,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
-from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_EFFECTS, CatalogueSignatures, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import (
     MAX_EVIDENCE_TIE,
     MAX_SCREENED_EVIDENCE_TIE,
@@ -45,12 +45,12 @@ from ltsim.physics.laws.sizes import displayed_sizes
 MAX_MODEL_MEMBERS = 5
 """Largest number of members of a model, and of reported constants of instruments."""
 MAX_RIGID_COEFFICIENTS = 10
-"""Members with more coefficients than a curve in one quantity (`MODES` and a slope) can imitate several effects: the
-search then starts again without them."""
+"""Largest number of coefficients of a member that cannot imitate several effects: a curve in one quantity
+(`N_MODES_DEFAULT` and a slope). With more, the search starts again without the member."""
 N_REFINED = 7
 """Number of families, and of laws, evaluated without approximation in a step."""
 N_REFINED_IN_LARGE_NETWORK = 3
-"""Such a number in a large network (cost)."""
+"""Number of families, and of laws, evaluated without approximation in a step of a large network (cost)."""
 N_SHAPE_GRID_POINTS = 11
 """Number of grid points over which a shape is integrated, one coarse step to either side."""
 N_ADDED_GRID_POINTS = 9
@@ -111,7 +111,7 @@ class Searcher:
         if catalogue_signatures is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
             catalogue_signatures = CatalogueSignatures.from_space(
-                space, [effect for effect in every if ordinary or type(effect) not in ORDINARY_CALIBRATION_EFFECTS]
+                space, [effect for effect in every if ordinary or type(effect) not in ORDINARY_CALIBRATION_TYPES]
             )
         self.catalogue_signatures = catalogue_signatures
         self.law_batches: list[LawBatch] = law_batches(space, ordinary=ordinary)
@@ -225,19 +225,19 @@ class Searcher:
             return effect, value
         u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
 
-        def tried(points: Floats) -> Floats:
+        def log_evidence_at(points: Floats) -> Floats:
             values = (interpolate_shape(shape, low, high, x) for x in points.tolist())
             return self.evidence_calculator.log_evidence(
                 [effect.with_constants(**{shape.name: value}) for value in values], base
             )
 
-        logs = tried(u)
+        logs = log_evidence_at(u)
         for _ in range(N_GRID_REFINEMENTS):
             top = index_of_best(logs)
             near = u[max(top - 1, 0) : top + 2]
             more = np.setdiff1d(np.linspace(near[0], near[-1], N_ADDED_GRID_POINTS), u)
             order = np.argsort(np.concatenate([u, more]))
-            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
+            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
         best = effect.with_constants(**{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))})
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))

@@ -22,7 +22,7 @@ from ltsim.physics.effects.signature import CandidateEffect, Signature
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
-N_REWEIGHTINGS = 2
+N_VARIANCE_ITERATIONS = 2
 """Number of adjustments in which the variance components converge."""
 
 
@@ -57,7 +57,7 @@ class SelectionState:
         """Search in the residual space; scores are computed on first use."""
         if self._searcher is None:
             before = self._ranked_noise
-            cards = None if before is None else before.catalogue_signatures.reweighted(before.space, self.space)
+            cards = None if before is None else before.catalogue_signatures.with_weights_of(before.space, self.space)
             trials = self.trials if before is None else 0
             self._ranked_noise = None
             self._searcher = Searcher(
@@ -78,7 +78,8 @@ class SelectionState:
     def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
         """Nonlinear refit with effects; without effects the ordinary adjustment.
 
-        Parameters have a prior of `WIDE` times their plausible size, since some combinations may leave no residual.
+        Parameters have a prior of `WIDE_PRIOR_SIZES` times their plausible size, since some
+        combinations may leave no residual.
         """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
@@ -145,7 +146,7 @@ class SelectionState:
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
         """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
-        for _ in range(N_REWEIGHTINGS):
+        for _ in range(N_VARIANCE_ITERATIONS):
             space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
             for i, change in enumerate(self.noise):
                 others = self._weighted_sigmas([*self.noise[:i], *self.noise[i + 1 :]])

@@ -23,7 +23,7 @@ UNBOUNDED_STEP_FACTOR = 20.0
 def _dense_grid(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
     """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
-    def even(x: Floats) -> Floats:
+    def evenly_spaced(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
     low, high = min(shape.lower_bound, now), max(shape.upper_bound, now)
@@ -32,7 +32,7 @@ def _dense_grid(shape: ShapeParameter, now: float, sigma: float, count: int) -> 
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
     near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
     values = np.unique(np.concatenate([grid, near, [now]]))
-    edges = even(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
+    edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 

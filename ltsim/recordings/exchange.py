@@ -26,6 +26,7 @@ from ltsim.recordings.tables import reader as tables
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
 HEAD_SIZE = 16_384
+"""Number of bytes at the beginning of a file by which its format is recognised."""
 MIN_CONTRADICTORY_ROWS = 2
 """Number of contradictory rows from which a list of points is interpreted as positions of a moving target."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"

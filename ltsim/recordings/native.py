@@ -60,7 +60,8 @@ COLUMN_BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
-OTHER_COLUMN_BOUNDS = ("k", "f", "pa", "bar", "inch")
+FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
+"""Units in headings of further columns, in addition to the units of ltsim."""
 
 
 MAX_INTERNED_TEXTS = 10_000
@@ -185,7 +186,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
-            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *OTHER_COLUMN_BOUNDS)
+            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *FURTHER_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
             raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)

@@ -218,7 +218,7 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """Object in a JSON file; `kind` is the expected content, for errors.
 
-    Raises RecordError for other content, for too many values, and for a number beyond `LARGEST`.
+    Raises RecordError for other content, for too many values, and for a number beyond `MAX_MAGNITUDE`.
     """
 
     def checked_number(text: str, kind: Callable[[str], float]) -> float:

@@ -87,9 +87,12 @@ FACE_ERRORS = (
 )
 """Errors of one angle, which is the one of the other face."""
 
-FULL_CIRCLE_RADIANS = 2 * np.pi + 0.01
+MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
+"""Largest angle [rad] of a column that is in radians: a full circle, with a margin for rounding."""
 MIN_DISTANCE_MM = 200.0
+"""Smallest longest distance [mm] of a recording; a smaller one is in metres."""
 MAX_COMPARED_CHORDS = 400
+"""Largest number of lengths between targets that are compared between stations."""
 MIN_WRONG_DISAGREEMENT = 2e-3
 """Relative disagreement of lengths above which a file is wrong."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
@@ -204,7 +207,7 @@ def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> Transcrip
 
 def _require_not_radians(measured: Floats, station: Ints, target: Ints, file: object) -> None:
     angles = [a[np.isfinite(a)] for a in measured.T[1:]]
-    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > FULL_CIRCLE_RADIANS:
+    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
         return
     wide = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured * [MILLIMETRE, 1.0, 1.0]

@@ -21,7 +21,7 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.diagnose import MIN_LOG_EVIDENCE_GAIN
+from ltsim.diagnosis.diagnose import MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
@@ -84,7 +84,7 @@ def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) 
         problem=adjustment.problem,
     )
     return HistoryExpectation.from_calibrations(known, recording, BUILT).find_contradictions(
-        other, MIN_LOG_EVIDENCE_GAIN
+        other, MIN_EFFECT_LOG_EVIDENCE
     )
 
 

@@ -30,7 +30,7 @@ from ltsim.recordings.tables.setups import (
     split_occupations,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, WORKBOOK_SUFFIXES, head_rows, is_table_folder, read_sheets
+from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
@@ -96,7 +96,7 @@ def recognises(path: Path, head: str) -> bool:
     """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
-    if head.startswith(WORKBOOK_SUFFIXES.decode("latin-1")):
+    if head.startswith(ZIP_SIGNATURE.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False

@@ -33,8 +33,10 @@ MAX_SAME_ANGLE = 0.02
 """Tolerance [deg or gon] between directions to the same position."""
 MAX_SAME_ANGLE_RAD = MAX_SAME_PLACE_RATIO
 """Tolerance [rad] between directions to the same position."""
-RADIAN_UNITS = 7.0
+MAX_ANGLE_IN_RADIANS = 7.0
+"""Largest angle at which a column of angles is in radians; larger values are degrees or gon."""
 MIN_ROWS_FOR_POSITIONS = 3
+"""Smallest number of rows, and of different positions, of one name that is a moving target."""
 
 
 def name_targets_by_position(table: PointingTable, file: object) -> PointingTable:
@@ -87,13 +89,14 @@ def _position_numbers(table: PointingTable) -> Ints:
 
 def _position_tolerance(role: str, largest: float, lengths: float) -> float:
     if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if largest > RADIAN_UNITS else MAX_SAME_ANGLE_RAD
+        return MAX_SAME_ANGLE if largest > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
     return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
 MIN_CLOSED_LINES = 4
+"""Smallest number of lines measured in both directions for a test of the heights over marks."""
 MAX_CLOSURE_RATIO = 0.5
 """Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
 are not applied.

@@ -32,7 +32,8 @@ from ltsim.recordings.tables.cells import is_value, thousands_separator
 from ltsim.recordings.xml import check_xml_part
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
-WORKBOOK_SUFFIXES = b"PK\x03\x04"
+ZIP_SIGNATURE = b"PK\x03\x04"
+"""First bytes of a workbook, which is a zip archive."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
 N_SAMPLE_LINES = 400
 """Number of lines that decide on the separator."""
