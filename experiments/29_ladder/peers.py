@@ -136,7 +136,7 @@ def snooping(observations: Observations) -> Answer:
     use = np.ones(len(network.misclosure()), dtype=bool)
     critical = critical_value(len(use))
     while True:
-        network = network.adjustment_pair(use)
+        network = network.adjusted(use)
         size = np.abs(network.standardised(use))
         worst = int(np.argmax(size))
         if size[worst] < critical or len(rejected) >= MOST * len(use):

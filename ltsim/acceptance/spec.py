@@ -129,13 +129,13 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 
 
 def read_table_rows(
-    file: Path, needed: Sequence[str], optional: Sequence[str] = ()
+    file: Path, required: Sequence[str], optional: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a user-written table with the columns `needed`; raises RecordError or SetupError."""
+    """Lines and rows of a user-written table with the columns `required`; raises RecordError or SetupError."""
     header, rows = table_rows(file)
-    missing = [name for name in needed if name not in header]
+    missing = [name for name in required if name not in header]
     if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *optional])}")
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*required, *optional])}")
     return rows
 
 

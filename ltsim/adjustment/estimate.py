@@ -269,7 +269,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
 
 
 def _axes_tests(
-    adjustment: Adjustment, names: Sequence[str], declared: Floats, used_mask: Bools
+    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools
 ) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
@@ -278,7 +278,7 @@ def _axes_tests(
     state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
     turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
     covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared - state.target_points[at], state.target_points[at]
+    gap, places = declared_points - state.target_points[at], state.target_points[at]
     centre = places[used_mask].mean(axis=0)
     free = motions_about_centre(adjusted.problem.free_motions, centre)
     motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])

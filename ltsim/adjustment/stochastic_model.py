@@ -206,12 +206,10 @@ def estimate_variance_components(
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _scale_sigmas(declared: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
+def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
     """Problem with other standard deviations: a factor for each group, the last for the levels."""
-    levels = replace(declared.level_rows, sigma=declared.level_rows.sigma * factor[-1])
-    return replace(
-        declared, sigma=declared.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask
-    )
+    levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
+    return replace(problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask)
 
 
 def _sums_by_group(

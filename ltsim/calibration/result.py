@@ -128,7 +128,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     )
 
 
-def _has_estimated_error(adjustment: Adjustment, scaled: Floats) -> Bools:
+def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bools:
     """Flags (n, 3) of the readings whose residual is an error.
 
     For an undetermined target those that contradict others.
@@ -136,7 +136,7 @@ def _has_estimated_error(adjustment: Adjustment, scaled: Floats) -> Bools:
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > MIN_CONTRADICTION_SIGMAS))
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MIN_CONTRADICTION_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment) -> Verdict:

@@ -59,9 +59,9 @@ class NewPointErrors(Result):
             yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
 
 
-def _has_same_readings(readings: Floats, others: Floats) -> bool:
+def _has_same_readings(readings: Floats, other_readings: Floats) -> bool:
     """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
-    return readings.shape != others.shape or not np.any(np.abs(readings - others) > READING_TOLERANCE)
+    return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
 
 
 def compare_calibrations(

@@ -155,10 +155,7 @@ class BatchDistance(BatchCalibrator):
         return values, moved
 
     def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
-        """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials.
-
-        Inf for other trials.
-        """
+        """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {

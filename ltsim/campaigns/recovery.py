@@ -270,8 +270,6 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
     """Tolerances such as ``2 urad`` in the units of the parameters of a trial.
 
     Raises SetupError for another kind of unit.
-
-    Raises SetupError for another kind of unit.
     """
     given = {}
     for name, words in tolerance.items():

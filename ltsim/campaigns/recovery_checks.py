@@ -54,10 +54,10 @@ class RecoveryCheck(Entry):
     """True if the number lies between the bounds."""
 
     @classmethod
-    def from_value(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
+    def from_value(cls, subject: str, statistic: str, value: float, low: float, high: float) -> Self:
         """Check of a number; NaN fails."""
         passed = bool(low <= value <= high)
-        return cls(subject=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
+        return cls(subject=subject, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
     def with_limits(self, low: float, high: float) -> Self:
         """Check of the same number with other limits."""

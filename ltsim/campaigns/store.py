@@ -98,8 +98,6 @@ class CampaignFolder:
         """Check that the shards are unchanged since they were written, and belong to their cells.
 
         Raises OSError, ValueError or pyarrow.ArrowException.
-
-        Raises OSError, ValueError or pyarrow.ArrowException.
         """
         digests = self.digests()
         for path in shards:

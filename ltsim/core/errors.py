@@ -51,12 +51,12 @@ class SetupError(LtsimError):
 
 
 @contextmanager
-def as_setup_error(where: str = "") -> Iterator[None]:
-    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `where` as prefix."""
+def as_setup_error(place: str = "") -> Iterator[None]:
+    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `place` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
-        raise SetupError(f"{where}: {problem}" if where else str(problem)) from None
+        raise SetupError(f"{place}: {problem}" if place else str(problem)) from None
 
 
 class ModelError(LtsimError):
@@ -114,15 +114,15 @@ def option(name: str) -> str:
     return FLAG_SPELLINGS.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
 
 
-def missing_extra(what: str, extra: str) -> SetupError:
+def missing_extra(feature: str, extra: str) -> SetupError:
     """SetupError for a function that needs packages of an extra."""
-    return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+    return SetupError(f"{feature} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
 
 
-def require(packages: Sequence[str], what: str, extra: str) -> None:
+def require(packages: Sequence[str], feature: str, extra: str) -> None:
     """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
     if not all(is_installed(name) for name in packages):
-        raise missing_extra(what, extra)
+        raise missing_extra(feature, extra)
 
 
 def is_installed(package: str) -> bool:

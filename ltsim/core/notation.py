@@ -72,11 +72,11 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], text_col
     )
 
 
-def listing(words: Sequence[str], most: int = 6) -> str:
-    """Words with commas; those beyond `most` are counted: `a, b and 3 more`."""
-    if len(words) <= most:
+def listing(words: Sequence[str], max_words: int = 6) -> str:
+    """Words with commas; those beyond `max_words` are counted: `a, b and 3 more`."""
+    if len(words) <= max_words:
         return ", ".join(words)
-    return ", ".join(words[:most]) + f" and {len(words) - most} more"
+    return ", ".join(words[:max_words]) + f" and {len(words) - max_words} more"
 
 
 def fixed_point_text(value: float | None, places: int) -> str:

@@ -25,14 +25,14 @@ def assemble_diagnosis(
     source: SourceEntry,
     explained: ExplainedRecording,
     detectability: DetectabilityReport,
-    certain: Sequence[Finding],
-    settled: Adjustment,
+    certain_findings: Sequence[Finding],
+    final_adjustment: Adjustment,
     errors: HeldOutErrors,
     selection: CauseSelection | None,
     *,
     mismatch: bool,
 ) -> Diagnosis:
-    """Diagnosis from the explained model, and from findings of tests (`certain`), which need no search."""
+    """Diagnosis from the explained model, and from findings of tests (`certain_findings`), which need no search."""
     case, model, detection = explained.state, explained.model, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
     shifts = [
@@ -41,16 +41,16 @@ def assemble_diagnosis(
     clock = case.recording.has_clock
     noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
     sure = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
-    alone = not certain and all(finding.effect == NoiseLevel.name for finding in sure)
+    alone = not certain_findings and all(finding.effect == NoiseLevel.name for finding in sure)
     likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
-    room = max(MAX_REPORTED_FINDINGS - len(certain), 0)
-    findings = sorted([*certain, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
+    room = max(MAX_REPORTED_FINDINGS - len(certain_findings), 0)
+    findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if model.members or case.noise:
         dof = baseline.dof - model.basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
-    verdict = "mismatch" if mismatch or certain else "consistent"
+    verdict = "mismatch" if mismatch or certain_findings else "consistent"
     detectable, undetectable = detectability
     return Diagnosis.from_arrays(
         DiagnosisArrays(
@@ -79,7 +79,7 @@ def assemble_diagnosis(
         fit=BeforeAfter(before=before, after=after),
         undetectable=undetectable,
         detectable=tuple(map(DetectableEntry.from_minimal_size, detectable)),
-        instruments=instrument_entries(settled),
+        instruments=instrument_entries(final_adjustment),
         tests=() if selection is None else cause_tests(selection),
     )
 

@@ -109,7 +109,7 @@ def safe_fraction(size: float, spread: float, noise: float) -> float:
 
 
 def model_weights(
-    searcher: Searcher, others: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
+    searcher: Searcher, other_effects: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
@@ -123,8 +123,8 @@ def model_weights(
     entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != chosen.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    shaped = _instances_at_probable_shapes(searcher, others, chosen)
-    changes = [expected_change(searcher, others, h) for h, _ in (*shaped, *entries)]
+    shaped = _instances_at_probable_shapes(searcher, other_effects, chosen)
+    changes = [expected_change(searcher, other_effects, h) for h, _ in (*shaped, *entries)]
     changes.append(np.zeros_like(changes[0]))
     weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(changes)
@@ -136,13 +136,13 @@ def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
 
 
 def _instances_at_probable_shapes(
-    searcher: Searcher, others: Model, chosen: Hypothesis
+    searcher: Searcher, other_effects: Model, chosen: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
     """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         []
         if isinstance(chosen.effect, EmpiricalLaw)
-        else shape_nodes(searcher.evidence_calculator, chosen.effect, others, {}, plausible=True)
+        else shape_nodes(searcher.evidence_calculator, chosen.effect, other_effects, {}, plausible=True)
     )
     if not shapes:
         return [(chosen, 1.0)]
@@ -160,9 +160,9 @@ def first_order_change(searcher: Searcher, model: Model) -> Floats:
     return change
 
 
-def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
+def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypothesis) -> Floats:
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
-    moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], others)[0]
+    moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
     change: Floats = (
         searcher.space.whitened_signature(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]

@@ -163,10 +163,10 @@ def _search_recording(
 
 
 def _contradicting_constants(
-    case: SelectionState, model: Model, settled: Adjustment, compared: ConstantComparison
+    case: SelectionState, model: Model, final_adjustment: Adjustment, compared: ConstantComparison
 ) -> list[ConstantContradiction]:
     """Constants that contradict their reference with nearly equal offsets with and without the model."""
-    with_model = compared(settled, MIN_EFFECT_LOG_EVIDENCE)
+    with_model = compared(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if not model.members:
         return with_model
     alone = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)

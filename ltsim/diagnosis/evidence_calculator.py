@@ -48,24 +48,24 @@ class EvidenceCalculator:
         self._changes_by_response: dict[str, Floats] = {}
         self._rows: dict[PlaceKey, ResidualRows] = {}
 
-    def gram_and_score(self, effects: Sequence[CandidateEffect], base: Model) -> list[tuple[Floats, Floats]]:
+    def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
             chosen = [effects[i] for i in members]
             signatures, edges = self._adjacent_signatures(chosen, rows)
             self._cache_projected_grams(chosen, signatures, edges, rows)
-            overlap, score = base.basis[rows.rows].T @ signatures, base.residual[rows.rows] @ signatures
+            overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
         return [moments[i] for i in range(len(effects))]
 
-    def log_evidence(self, effects: Sequence[CandidateEffect], base: Model) -> Floats:
+    def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
         """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
-        moments = self.gram_and_score(effects, base)
+        moments = self.gram_and_score(effects, base_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.is_positive for p in effect.parameters):
                 values[i] = log_evidence_of_effect(effect, gram, score)
@@ -77,9 +77,9 @@ class EvidenceCalculator:
             values[members] = log_evidence_of_coefficients(grams, scores, spreads)
         return values
 
-    def refine_locally(self, effects: Sequence[CachedType], base: Model) -> list[tuple[CachedType, float]]:
+    def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
         """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
-        best, values = list(effects), self.log_evidence(effects, base)
+        best, values = list(effects), self.log_evidence(effects, base_model)
         means, moving = values.copy(), list(range(len(best)))
         for _ in range(MAX_SEARCH_STEPS):
             candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
@@ -87,7 +87,7 @@ class EvidenceCalculator:
             if not candidates:
                 break
             logs = self.log_evidence(
-                [neighbour for neighbours in candidates.values() for neighbour in neighbours], base
+                [neighbour for neighbours in candidates.values() for neighbour in neighbours], base_model
             )
             edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
             moving = []

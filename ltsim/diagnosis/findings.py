@@ -248,9 +248,9 @@ class ExplainedRecording:
         scope = scope_of(effect)
         return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
-    def _scope(self, effect: CandidateEffect, carried: tuple[str, ...] = ()) -> FindingScope:
+    def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
-        where = effect_scope(effect, carried)
+        where = effect_scope(effect, carrying_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
             if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return where.model_copy(update={"stations": (), "instruments": tracker.instruments})

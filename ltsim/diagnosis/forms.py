@@ -42,31 +42,31 @@ MAX_PIECES = 10
 
 
 def evaluate_forms(
-    exact: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base: Model, *, pieces: bool
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
 ) -> list[Hypothesis]:
     """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
-    sightings = exact.space.sightings
+    sightings = calculator.space.sightings
     law = law.equivalent_index_law(sightings)
     whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
-    tried = _piecewise_forms(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
+    tried = _piecewise_forms(calculator, law, whole + float(np.log(P_PIECEWISE)), base_model) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
     always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
-    switched = switched_forms(exact, always, whole + share, base) if pieces else []
+    switched = switched_forms(calculator, always, whole + share, base_model) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
     each = law.per_setup(sightings)
-    tried += _functional_forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
-    tried += _functional_forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
-    tried += _functional_forms(exact, always, whole, base) if always != law else []
+    tried += _functional_forms(calculator, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base_model)
+    tried += _functional_forms(calculator, each, whole + np.log(P_PER_SETUP), base_model) if each else []
+    tried += _functional_forms(calculator, always, whole, base_model) if always != law else []
     factors = (
         [h for h in tried if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
         if pieces
         else []
     )
-    tried += product_forms(exact, factors[_index_of_best(factors)], base) if factors else []
-    tried = [form for hypothesis in tried for form in _forms_with_ratio(exact, hypothesis, base)]
+    tried += product_forms(calculator, factors[_index_of_best(factors)], base_model) if factors else []
+    tried = [form for hypothesis in tried for form in _forms_with_ratio(calculator, hypothesis, base_model)]
     top = tried.pop(_index_of_best(tried))
-    tried += _forms_at_set_ups(exact, top, base)
+    tried += _forms_at_set_ups(calculator, top, base_model)
     best = []
     for name in {h.name: None for h in tried}:
         same_name = [h for h in tried if h.name == name]
@@ -80,16 +80,18 @@ def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     return index_of_best(np.array([form.log_evidence for form in forms]))
 
 
-def _functional_forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
+def _functional_forms(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+) -> list[Hypothesis]:
     """Functional forms of a law at its place."""
-    forms = law.candidate_forms(exact.space.sightings)
+    forms = law.candidate_forms(calculator.space.sightings)
     whole = sum(FORM_WEIGHTS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / whole / len(sets))) for kind, sets in forms.items()}
     asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
     single, several = ([form for form in asked if (len(form[1]) == 1) == is_single] for is_single in (True, False))
-    climbed = exact.refine_locally([scales[0] for _, scales in single], base)
+    climbed = calculator.refine_locally([scales[0] for _, scales in single], base_model)
     candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
-    moments = exact.gram_and_score([scales[0] for _, scales in several], base)
+    moments = calculator.gram_and_score([scales[0] for _, scales in several], base_model)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.size_scales for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
@@ -97,13 +99,13 @@ def _functional_forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
-def _forms_with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
-    gram, score = exact.gram_and_score([law], base)[0]
+    gram, score = calculator.gram_and_score([law], base_model)[0]
     ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
     share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
@@ -118,9 +120,9 @@ def _forms_with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) 
     ]
 
 
-def _forms_at_set_ups(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
-    law, stations = form.effect, exact.space.sightings.station_names
+    law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
         return [form]
@@ -135,15 +137,15 @@ def _forms_at_set_ups(exact: EvidenceCalculator, form: Hypothesis, base: Model) 
         for driver in drivers
         for name in stations
     ]
-    mask = [law.row_weights(exact.space.sightings).sum() for law in laws]
+    mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
-    values = exact.log_evidence(laws, base)
+    values = calculator.log_evidence(laws, base_model)
     made = [
         Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
     ]
-    confined = [other for hypothesis in made for other in _forms_with_ratio(exact, hypothesis, base)]
+    confined = [other for hypothesis in made for other in _forms_with_ratio(calculator, hypothesis, base_model)]
     evidence = form.log_evidence - form.log_prior
     equal = [h for h in confined if abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE]
     same = [
@@ -152,13 +154,15 @@ def _forms_at_set_ups(exact: EvidenceCalculator, form: Hypothesis, base: Model) 
     return same[:1] or [form, *confined]
 
 
-def _piecewise_forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
+def _piecewise_forms(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+) -> list[Hypothesis]:
     """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
-    atoms = law.candidate_pieces(exact.space.sightings)
+    atoms = law.candidate_pieces(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
     whole = law.with_pieces(atoms)
-    gram, score = exact.gram_and_score([whole], base)[0]
+    gram, score = calculator.gram_and_score([whole], base_model)[0]
     spread = whole.size_scales
     places = np.arange(len(score)).reshape(len(whole.response.component_names), len(atoms), -1)
     chosen: list[int] = []
@@ -174,7 +178,9 @@ def _piecewise_forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float,
         value = float(log_sum_exp(values)) - len(chosen) * price
         if value > best + MAX_EVIDENCE_TIE:
             best, taken = value, len(chosen)
-    refined, value = exact.refine_locally([law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
+    refined, value = calculator.refine_locally(
+        [law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base_model
+    )[0]
     prior -= taken * price
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 

@@ -144,12 +144,12 @@ PatternHypotheses = tuple[int, tuple[float, ...]]
 
 
 def _pattern_group(
-    owners: Sequence[PatternHypotheses], places: Ints | slice, added: Singles | sp.csr_array
+    owners: Sequence[PatternHypotheses], places: Ints | slice, added_variance: Singles | sp.csr_array
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
     pattern = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
     size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern, size, places, added)
+    return PatternGroup(members, pattern, size, places, added_variance)
 
 
 def _sparse_rows(made: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:

@@ -47,18 +47,18 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
     ]
 
 
-def product_forms(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Best product of a law of readings in time with a second factor, refined; empty if none is nearly as good."""
-    law, sightings = form.effect, exact.space.sightings
+    law, sightings = form.effect, calculator.space.sightings
     assert isinstance(law, EmpiricalLaw)
     weights = list(_second_factors(sightings, LEVER_FUNCTION if "distance" not in law.response.observables else ""))
     laws = [_law_product(law, weight) for weight in weights]
-    values = exact.log_evidence(laws, base)
+    values = calculator.log_evidence(laws, base_model)
     top = index_of_best(values)
     prior = form.log_prior + float(np.log(OPERATOR_ODDS / len(weights)))
     if values[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
         return []
-    refined, value = exact.refine_locally([laws[top]], base)[0]
+    refined, value = calculator.refine_locally([laws[top]], base_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
     if law.regressor.kind == "switch":
         weight = next(f for f in refined.regressor.factors if f.kind != "switch")
@@ -68,7 +68,7 @@ def product_forms(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> l
             else Regressor("product", factors=(smooth_regressor("time", N_MODES_FACTOR), weight))
         )
         alone = replace(refined, regressor=factor)
-        products += switched_forms(exact, alone, prior, base, refine=False)
+        products += switched_forms(calculator, alone, prior, base_model, refine=False)
     return products
 
 

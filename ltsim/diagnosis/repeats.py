@@ -33,7 +33,7 @@ def redundancy_of_means(means: sp.csr_array, share: Floats) -> Floats:
     return np.maximum(1.0 - lost, MIN_MEAN_REDUNDANCY)
 
 
-def relative_variance_of_means(means: sp.csr_array, added: Floats) -> Floats:
+def relative_variance_of_means(means: sp.csr_array, added_variance: Floats) -> Floats:
     """Relative added variance (g,) of means whose members share that of the first rows: k v."""
-    padded = np.append(added, np.zeros(means.shape[1] - len(added)))
+    padded = np.append(added_variance, np.zeros(means.shape[1] - len(added_variance)))
     return np.maximum((means > 0).astype(np.float64) @ padded, 0.0)

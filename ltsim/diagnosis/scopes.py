@@ -9,15 +9,15 @@ from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 
 
-def effect_scope(effect: CandidateEffect, carried: tuple[str, ...] = ()) -> FindingScope:
-    """Scope of an effect; `carried` are the observables if the effect itself does not specify them."""
+def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
+    """Scope of an effect; `carrying_observables` are the observables if the effect itself does not specify them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
-        observables = carried or observables
+        observables = carrying_observables or observables
     instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
     if isinstance(effect, EmpiricalLaw):
         stations = () if effect.is_per_setup else stations
-        observables = effect.response.observables or carried or observables
+        observables = effect.response.observables or carrying_observables or observables
     return confined_scope(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,

@@ -139,16 +139,20 @@ class Searcher:
         rest.empty_model_screening = rest._screening(rest.empty_model)
         return rest
 
-    def ranking(self, base: Model) -> Ranking:
+    def ranking(self, base_model: Model) -> Ranking:
         """Ranking of all hypotheses given a model: screened, the best evaluated without approximation."""
-        key = frozenset(h.key for h in base.members)
+        key = frozenset(h.key for h in base_model.members)
         if key not in self._rankings:
-            self._rankings[key] = self._compute_ranking(base)
+            self._rankings[key] = self._compute_ranking(base_model)
         return self._rankings[key]
 
-    def _screening(self, base: Model) -> ScreeningResult:
+    def _screening(self, base_model: Model) -> ScreeningResult:
         """Screening of all catalogue effects and laws given a model."""
-        probe = self.null_ensemble.with_model(base.residual, base.basis) if base.members else self.null_ensemble
+        probe = (
+            self.null_ensemble.with_model(base_model.residual, base_model.basis)
+            if base_model.members
+            else self.null_ensemble
+        )
         values, chance = self.catalogue_signatures.log_evidence_and_trials(probe)
         families = self.catalogue_signatures.family_evidence(values) + self._log_family_prior
         hits: list[ScreenedLaw] = []
@@ -163,19 +167,21 @@ class Searcher:
         """Log prior of each catalogue family."""
         return log_prior_share("named", len(self.catalogue_signatures.families))
 
-    def _compute_ranking(self, base: Model) -> Ranking:
-        values, families, hits, _, _ = self._screening(base) if base.members else self.empty_model_screening
-        entries = self._law_hypotheses(hits, base)
+    def _compute_ranking(self, base_model: Model) -> Ranking:
+        values, families, hits, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
+        entries = self._law_hypotheses(hits, base_model)
         for i, family in enumerate(ranked_indices(families, MAX_SCREENED_EVIDENCE_TIE)):
             entries.append(
-                self._best_of_family(int(family), values, float(families[family]), base, refine=i < self._n_refined)
+                self._best_of_family(
+                    int(family), values, float(families[family]), base_model, refine=i < self._n_refined
+                )
             )
-        entries = [replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base.members)) for h in entries]
+        entries = [replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in entries]
         entries = [entries[i] for i in ranked_indices(np.array([h.log_evidence for h in entries]))]
         return Ranking(tuple(entries), float(log_sum_exp(np.array([h.log_evidence for h in entries]))))
 
     def _best_of_family(
-        self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base: Model, *, refine: bool
+        self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
     ) -> Hypothesis:
         """Best member of a family with the evidence of the family; evaluated without approximation if `refine`."""
         signatures = self.catalogue_signatures
@@ -186,7 +192,7 @@ class Searcher:
         if not refine:
             return best
         for i in self._local_optima(members, effect_log_evidence):
-            effect, value = self._integrate_over_shapes(signatures.effects[i], base)
+            effect, value = self._integrate_over_shapes(signatures.effects[i], base_model)
             others = np.delete(effect_log_evidence[members], np.flatnonzero(members == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
             if i == members[0] or value + prior > best.log_evidence:
@@ -206,17 +212,17 @@ class Searcher:
                 chosen.append(int(i))
         return chosen
 
-    def _integrate_over_shapes(self, effect: CandidateEffect, base: Model) -> tuple[CandidateEffect, float]:
+    def _integrate_over_shapes(self, effect: CandidateEffect, base_model: Model) -> tuple[CandidateEffect, float]:
         """Effect with its shape at the optimum, and log evidence averaged over a cell of the coarse grid."""
-        effect, value = self.evidence_calculator.refine_locally([effect], base)[0]
+        effect, value = self.evidence_calculator.refine_locally([effect], base_model)[0]
         for shape in type(effect).shape_parameters:
             now = getattr(effect, shape.name)
             if isinstance(now, float) and shape.n_grid_values > 1:
-                effect, value = self._integrate_over_shape(effect, shape, base, value)
+                effect, value = self._integrate_over_shape(effect, shape, base_model, value)
         return effect, value
 
     def _integrate_over_shape(
-        self, effect: CandidateEffect, shape: ShapeParameter, base: Model, value: float
+        self, effect: CandidateEffect, shape: ShapeParameter, base_model: Model, value: float
     ) -> tuple[CandidateEffect, float]:
         """Best value of a shape constant, and log mean evidence over its cell by the trapezoidal rule."""
         now = float(getattr(effect, shape.name))
@@ -228,7 +234,7 @@ class Searcher:
         def log_evidence_at(points: Floats) -> Floats:
             values = (interpolate_shape(shape, low, high, x) for x in points.tolist())
             return self.evidence_calculator.log_evidence(
-                [effect.with_constants(**{shape.name: value}) for value in values], base
+                [effect.with_constants(**{shape.name: value}) for value in values], base_model
             )
 
         logs = log_evidence_at(u)
@@ -242,7 +248,7 @@ class Searcher:
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
-    def _law_hypotheses(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
+    def _law_hypotheses(self, hits: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
         """Screened laws: the best ones, and the best of each response and kind of regressor, in all forms.
 
         Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
@@ -265,33 +271,33 @@ class Searcher:
                 evaluated.add(key)
                 kinds.add(kind)
                 entries += evaluate_forms(
-                    self.evidence_calculator, law, hit.log_prior, base, pieces=not self.is_large_network
+                    self.evidence_calculator, law, hit.log_prior, base_model, pieces=not self.is_large_network
                 )
             else:
                 entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, catalogue_name(law)))
         return entries
 
     def estimates(
-        self, hypothesis: Hypothesis, others: Model, refitted: Sequence[ParameterEstimate]
+        self, hypothesis: Hypothesis, other_effects: Model, refitted: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of a refit; posterior means and deviations over all shapes where these are much wider."""
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
-            sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, others))
+            sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, other_effects))
             return (
                 *(ParameterEstimate(**size._asdict()) for size in sizes),
-                *centre_estimates(self.evidence_calculator, effect, others),
+                *centre_estimates(self.evidence_calculator, effect, other_effects),
             )
-        marginal = shape_posterior(self.evidence_calculator, effect, others, refitted)
+        marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refitted)
         wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refitted if e.name in marginal)
         rows = [marginal.get(e.name, e) if wider else e for e in refitted]
         if "time" in marginal and all(e.name != "time" for e in rows):
             rows.append(marginal["time"])
-        return (*rows, *centre_estimates(self.evidence_calculator, effect, others))
+        return (*rows, *centre_estimates(self.evidence_calculator, effect, other_effects))
 
-    def law_coefficients(self, law: EmpiricalLaw, others: Model) -> tuple[Floats, Floats]:
+    def law_coefficients(self, law: EmpiricalLaw, other_effects: Model) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients given a model."""
-        gram, score = self.evidence_calculator.gram_and_score([law], others)[0]
+        gram, score = self.evidence_calculator.gram_and_score([law], other_effects)[0]
         return coefficient_posterior(gram, score, law.size_scales)[:2]
 
     def model_of(self, members: Sequence[Hypothesis]) -> Model:

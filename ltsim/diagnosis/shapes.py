@@ -20,25 +20,25 @@ UNBOUNDED_STEP_FACTOR = 20.0
 """Factor on the step that represents no bound."""
 
 
-def _dense_grid(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
+def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, count: int) -> tuple[Floats, Floats]:
     """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
     def evenly_spaced(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
-    low, high = min(shape.lower_bound, now), max(shape.upper_bound, now)
+    low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
     grid = np.geomspace(low, high, count) if shape.has_logarithmic_grid else np.linspace(low, high, count)
     if shape.has_reciprocal_grid:
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
-    near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
-    values = np.unique(np.concatenate([grid, near, [now]]))
+    near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
+    values = np.unique(np.concatenate([grid, near, [estimate]]))
     edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def interpolate_shape(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+def interpolate_shape(shape: ShapeParameter, low: float, high: float, position: float) -> float:
     """Value of a shape constant at u, from -1 at `low` to 1 at `high`, uniform in the coordinate of its grid."""
-    s = 0.5 * (u + 1.0)
+    s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
         return float(low * (high / low) ** s)
     if shape.has_reciprocal_grid and low > 0:
@@ -80,9 +80,9 @@ def _cell_widths(effects: Sequence[CandidateEffect]) -> dict[float, float]:
 
 
 def shape_nodes(
-    exact: EvidenceCalculator,
+    calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    base: Model,
+    base_model: Model,
     spread: Mapping[str, float],
     *,
     plausible: bool = False,
@@ -95,7 +95,7 @@ def shape_nodes(
     shapes = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
     ]
-    near = effect.neighbours(exact.space.sightings)
+    near = effect.neighbours(calculator.space.sightings)
     if not (shapes or near) or len(shapes) > 2:
         return []
     count = 33 if len(shapes) == 1 and not near else 15
@@ -107,8 +107,12 @@ def shape_nodes(
         for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
     ]
     shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
-    posteriors = [wide_prior_posterior(*moments, sizes) for moments in exact.gram_and_score(shaped, base)]
-    weighed = exact.log_evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in posteriors]
+    posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
+    weighed = (
+        calculator.log_evidence(shaped, base_model).tolist()
+        if plausible
+        else [evidence for _, _, evidence in posteriors]
+    )
     nodes = []
     for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
         points, shaped, posteriors, weighed, strict=True
@@ -120,7 +124,9 @@ def shape_nodes(
     return nodes
 
 
-def centre_estimates(exact: EvidenceCalculator, effect: CandidateEffect, base: Model) -> tuple[ParameterEstimate, ...]:
+def centre_estimates(
+    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model
+) -> tuple[ParameterEstimate, ...]:
     """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
 
     Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; an
@@ -135,7 +141,7 @@ def centre_estimates(exact: EvidenceCalculator, effect: CandidateEffect, base: M
     pairs = list(combinations(range(k), 2))
     moves += [steps[i] + steps[j] for i, j in pairs] + [steps[i] - steps[j] for i, j in pairs]
     moves += [steps[j] - steps[i] for i, j in pairs] + [-steps[i] - steps[j] for i, j in pairs]
-    logs = exact.log_evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base)
+    logs = calculator.log_evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model)
     ahead, behind, crossed = logs[1 : k + 1], logs[k + 1 : 2 * k + 1], logs[2 * k + 1 :].reshape(4, -1)
     hessian = np.diag((2.0 * logs[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
     mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
@@ -150,14 +156,14 @@ def centre_estimates(exact: EvidenceCalculator, effect: CandidateEffect, base: M
 
 
 def shape_posterior(
-    exact: EvidenceCalculator, effect: CandidateEffect, base: Model, estimates: Sequence[ParameterEstimate]
+    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model, estimates: Sequence[ParameterEstimate]
 ) -> dict[str, ParameterEstimate]:
     """Posterior means and standard deviations, averaged over a grid of shape constants that is densest at `estimates`.
 
     Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
     for effects without shape constants.
     """
-    shapes = shape_nodes(exact, effect, base, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
+    shapes = shape_nodes(calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
     if not shapes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))

@@ -62,53 +62,59 @@ def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
 
 def switched_forms(
-    exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model, *, refine: bool = True
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model, *, refine: bool = True
 ) -> list[Hypothesis]:
     """Form of a law that is on in some spans of its covariate; empty if that is not possible.
 
     The region of a law is refined before its times unless `refine` is false.
     """
-    sightings = exact.space.sightings
+    sightings = calculator.space.sightings
     edges = law.candidate_switch_times(sightings)
     if len(edges) < N_INTERVALS_AFTER_MAXIMUM:
         return []
     if law.depends_on_fixed_region and refine:
-        law = exact.refine_locally([law], base)[0][0]
+        law = calculator.refine_locally([law], base_model)[0][0]
     first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
-    spans = _span_moments(exact, law, [first, *edges], base)
+    spans = _span_moments(calculator, law, [first, *edges], base_model)
     spread = law.with_switch([first]).size_scales
     on, value, toggled = _best_span_states(spans, spread)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_temporarily(law, chosen, sightings):
         return []
-    refined, mean = exact.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base)[0]
+    refined, mean = calculator.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base_model)[
+        0
+    ]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
     form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, catalogue_name(refined))
-    return [form, *_formulas_of_second_factor(exact, form, base)]
+    return [form, *_formulas_of_second_factor(calculator, form, base_model)]
 
 
-def _formulas_of_second_factor(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Switched law with a short formula in place of the curve in its second factor; empty if it has none."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
-        law.candidate_formulas(exact.space.sightings) if any(f.kind == "smooth" for f in law.regressor.factors) else []
+        law.candidate_formulas(calculator.space.sightings)
+        if any(f.kind == "smooth" for f in law.regressor.factors)
+        else []
     )
     if not formulas:
         return []
-    best = formulas[index_of_best(exact.log_evidence(formulas, base))]
-    refined, value = exact.refine_locally([best], base)[0]
+    best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
+    refined, value = calculator.refine_locally([best], base_model)[0]
     prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
 
 
-def _span_moments(exact: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base: Model) -> SpanMoments:
+def _span_moments(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base_model: Model
+) -> SpanMoments:
     """Moments of a law in the spans from each step to the next."""
-    sightings, count = exact.space.sightings, len(steps)
+    sightings, count = calculator.space.sightings, len(steps)
     x = sightings.quantities[steps[0].covariates[0]]
     after = x[:, None] > [step.constant for step in steps]
-    gram, score = exact.gram_and_score([law.with_steps(steps)], base)[0]
+    gram, score = calculator.gram_and_score([law.with_steps(steps)], base_model)[0]
     ways = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (ways * count))  # steps have an rms of one
     shape = ways, count, len(columns) // count

@@ -48,12 +48,12 @@ def _estimate_text(parameter: ParameterEstimate) -> str:
     return f"{parameter_text(name)} {with_sigma(value, sigma)} {parameter.unit}".strip()
 
 
-def place_text(where: FindingScope) -> str:
+def place_text(scope: FindingScope) -> str:
     """Text of a place."""
-    kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
+    kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
     parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
-    if where.observables:
-        parts.append(f"in {listing(where.observables)}")
+    if scope.observables:
+        parts.append(f"in {listing(scope.observables)}")
     return " ".join(parts) or "in the whole recording"
 
 
@@ -64,7 +64,7 @@ def percent_text(probability: float) -> str:
 
 def catalogue_sentence(
     effect: str,
-    where: FindingScope,
+    scope: FindingScope,
     parameters: Sequence[ParameterEstimate],
     probability: float,
     *,
@@ -72,13 +72,13 @@ def catalogue_sentence(
 ) -> str:
     """Sentence on an effect of the catalogue: its size and place, its usual cause, both probabilities."""
     card = catalogue_entry(find_effect(effect))
-    at = place_text(where).removeprefix("at ").removeprefix("in the ")
+    at = place_text(scope).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= MIN_PROBABLE else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     sizes = estimates_phrase(parameters)
     if max(probability, p_located or 0.0) < MIN_PROBABLE:
         perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent_text(probability)}"
         return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
-    here = place_text(where.model_copy(update={"observables": ()}))
+    here = place_text(scope.model_copy(update={"observables": ()}))
     located = "" if p_located is None else f"An effect like this {here}: {percent_text(p_located)}. "
     cause = (
         f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent_text(probability)} ({card.cause_description})"
@@ -86,30 +86,30 @@ def catalogue_sentence(
     return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}."
 
 
-def law_sentence(where: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law: str) -> str:
+def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law: str) -> str:
     """Sentence on a law outside the catalogue: response, regressor, place, size, probability."""
     sizes = estimates_phrase(parameters)
     size = f" ({sizes})" if sizes else ""
-    at = _place_suffix(where.model_copy(update={"observables": ()}))
+    at = _place_suffix(scope.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
     if p_located < MIN_PROBABLE:
         likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent_text(p_located)})"
         form = f"of a form that the readings do not determine: {likeliest}"
-        return f"Physics outside the catalogue{_place_suffix(where)}, {form}."
+        return f"Physics outside the catalogue{_place_suffix(scope)}, {form}."
     sure = f"probability that it follows this {percent_text(p_located)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
-def unknown_effect_sentence(where: FindingScope, law: str) -> str:
+def unknown_effect_sentence(scope: FindingScope, law: str) -> str:
     """Sentence on an effect outside the catalogue: place, covariates, law."""
-    on = f", depending on {listing([COVARIATE_TEXTS.get(c, c) for c in where.covariates])}" if where.covariates else ""
-    return f"Physics outside the catalogue{_place_suffix(where)}{on}; best law: {law}."
+    on = f", depending on {listing([COVARIATE_TEXTS.get(c, c) for c in scope.covariates])}" if scope.covariates else ""
+    return f"Physics outside the catalogue{_place_suffix(scope)}{on}; best law: {law}."
 
 
-def _place_suffix(where: FindingScope) -> str:
+def _place_suffix(scope: FindingScope) -> str:
     """Text of the place with a leading blank; empty for the whole recording."""
-    confined = where.stations or where.targets or where.observables or where.instruments
-    return f" {place_text(where)}" if confined else ""
+    confined = scope.stations or scope.targets or scope.observables or scope.instruments
+    return f" {place_text(scope)}" if confined else ""
 
 
 MIN_CLEAR_SIGMAS = 5.0
@@ -158,19 +158,25 @@ def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
 
 
 def diagnosis_summary(
-    verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, withheld: int = 0
+    verdict: str,
+    findings: Sequence[Finding],
+    p_value: float,
+    misfit_before: Misfit,
+    misfit_after: Misfit,
+    *,
+    withheld: int = 0,
 ) -> str:
     """Summary of a diagnosis in a few sentences; `withheld` is the number of members that are not reported."""
     if verdict == "consistent":
         return (
-            f"The recording agrees with the model and the declared noise (chi-square {before.chi2:.0f} for "
-            f"{before.dof} degrees of freedom; probability of such a finding in a recording "
+            f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "
+            f"{misfit_before.dof} degrees of freedom; probability of such a finding in a recording "
             f"without errors: {100 * p_value:.0f} %)."
         )
     if not findings:
         return (
             "The recording does not agree with the model and the declared noise, but no cause is probable; "
-            f"chi-square {before.chi2:.0f} for {before.dof} degrees of freedom."
+            f"chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom."
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
@@ -178,13 +184,17 @@ def diagnosis_summary(
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
     further = "1 further effect is" if withheld == 1 else f"{withheld} further effects are"
     rest = f" {further} in the model but not reported (small or uncertain)." if withheld else ""
-    return first.sentence + open_ + more + rest + _held_out_sentence(before.held_out_rms, after.held_out_rms)
+    return (
+        first.sentence + open_ + more + rest + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
+    )
 
 
-def _held_out_sentence(before: float | None, after: float | None) -> str:
+def _held_out_sentence(error_before: float | None, error_after: float | None) -> str:
     """Sentence on the change of the prediction error on held-out readings; empty without a change."""
-    if before is None or after is None or before == after:
+    if error_before is None or error_after is None or error_before == error_after:
         return ""
-    was, now = f"{before:.2f}", f"{after:.2f}"
-    course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    was, now = f"{error_before:.2f}", f"{error_after:.2f}"
+    course = (
+        f"{'falls' if error_after < error_before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    )
     return f" On held-out readings the prediction error {course} times the noise."

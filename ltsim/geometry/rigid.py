@@ -18,13 +18,13 @@ def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def remove_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floats | None = None) -> Floats:
     """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
 
-    If `free` (6, f) is given, only motions in the span of its columns are removed.
+    If `free_motions` (6, f) is given, only motions in the span of its columns are removed.
     """
     motion = rigid_motion_design(points)
-    basis = np.linalg.qr(motion if free is None else motion @ free)[0]
+    basis = np.linalg.qr(motion if free_motions is None else motion @ free_motions)[0]
     return displacement - basis @ (basis.T @ displacement)
 
 

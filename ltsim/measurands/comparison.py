@@ -250,10 +250,10 @@ def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: fl
 
 
 def _displacement_of_point(
-    difference: EpochDifference, point: int, moved_points: list[int], tested: int, level: float
+    difference: EpochDifference, point: int, moved_points: list[int], n_tested: int, level: float
 ) -> Displacement:
     """Displacement of a point in the frame of the stable points, and its test given the other displacements."""
-    count, a = max(tested, 1), len(difference.compared_axes)
+    count, a = max(n_tested, 1), len(difference.compared_axes)
     others = [p for p in moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
     drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])

@@ -130,10 +130,12 @@ def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
     return FittedFeature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
-def _fit_cylinder(local: Floats, near: FittedFeature | None) -> FittedFeature:
+def _fit_cylinder(local: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
     """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
-    if near is not None:
-        return _refine_cylinder(local, near.direction, near.reference_point, near.radius)
+    if initial_feature is not None:
+        return _refine_cylinder(
+            local, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
+        )
     features = []
     for points in local.reshape(-1, *local.shape[-2:]):
         axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_AXES)])

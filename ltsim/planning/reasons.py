@@ -117,7 +117,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(tried: Sequence[StationCountResult], least: int) -> list[str]:
+def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
@@ -127,7 +127,7 @@ def _count_result_clauses(tried: Sequence[StationCountResult], least: int) -> li
             )
         if outcome.has_layout:
             return "the best layout does not determine every point"
-        return f"no layout has every point in sight of {least} station{'s' if least > 1 else ''}"
+        return f"no layout has every point in sight of {min_stations} station{'s' if min_stations > 1 else ''}"
 
     def came_of(text: str, same: Sequence[StationCountResult]) -> str:
         first, last = same[0].n_stations, same[-1].n_stations

@@ -187,8 +187,6 @@ def choose_reflectors(
     """Survey whose movable reflectors (not `is_fixed` (T,)) are at the best of the present and candidate places.
 
     Raises SetupError if too few places are visible.
-
-    Raises SetupError if too few places are visible.
     """
     if search_space.candidate_nests is None:
         return survey

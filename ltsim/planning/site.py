@@ -286,9 +286,7 @@ class StationPlacement:
     def _best_place(self, others: list[int], wanted_sights: int, random_generator: np.random.Generator | None) -> int:
         """Place that adds most missing sights, with a small weight for sights beyond the wanted number.
 
-        -1 if no place is permitted.
-
-        It is -1 if none is permitted.
+        It is -1 if no place is permitted.
         """
         count = len(self.candidate_positions)
         rows = (

@@ -226,9 +226,11 @@ class PlanFile(TomlSection):
     search: SearchSettings = SearchSettings()
     """Extent of the search."""
 
-    def with_min_stations(self, least: int) -> PlanFile:
-        """Plan file that requires `least` stations for each reflector."""
-        return self.model_copy(update={"stations": self.stations.model_copy(update={"min_stations_per_target": least})})
+    def with_min_stations(self, min_stations: int) -> PlanFile:
+        """Plan file that requires `min_stations` stations for each reflector."""
+        return self.model_copy(
+            update={"stations": self.stations.model_copy(update={"min_stations_per_target": min_stations})}
+        )
 
     @property
     def requires_sights(self) -> bool:

@@ -197,7 +197,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
 
 
 def _plan_with_moved_stations(
-    named: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
+    plan: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
 ) -> PlannedNetwork:
     """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
 
@@ -205,7 +205,7 @@ def _plan_with_moved_stations(
 
     Raises SetupError for a position where no tripod may stand.
     """
-    file, site = unsearched_plan(named, scenario)
+    file, site = unsearched_plan(plan, scenario)
     survey = site.survey
     position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
     for name, given in new_positions.items():
@@ -219,9 +219,9 @@ def _plan_with_moved_stations(
     return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
 
 
-def _position_numbers(name: str, given: object) -> Floats:
+def _position_numbers(name: str, position: object) -> Floats:
     """Numbers (2 to 4) of a new position; raises SetupError."""
-    words = np.ravel(np.asarray(given, dtype=object)).tolist()
+    words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):

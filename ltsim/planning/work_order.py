@@ -55,10 +55,10 @@ class TapeDistance:
         return f"{self.length:.2f} m to {self.end_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
-    def from_station(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
+    def from_station(cls, target: str, target_position: Floats, station: Floats, *, floor: bool) -> TapeDistance:
         """Tape distance from an instrument at `station` (3,) [m]."""
-        gap = place - station
-        return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
+        gap = target_position - station
+        return cls(target, target_position, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)

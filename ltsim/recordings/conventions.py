@@ -263,8 +263,6 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
     """Median misfits [m] of points (n, 3), and of their mirror image, to other points after a rigid alignment.
 
     A misfit is 1 if no alignment exists.
-
-    It is 1 if no alignment exists.
     """
     misfits = []
     for side in (1.0, -1.0):

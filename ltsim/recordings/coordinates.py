@@ -369,12 +369,12 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     return stream.getvalue()
 
 
-def _read_covariance_matrix(path: Path, wanted: Sequence[str]) -> Floats:
+def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
     """Covariance matrix from a file whose coordinates are named and may be in any order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
     names = list(map(unguard_formula, first.fields[1:]))
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in coordinate_names if name not in names]
     if missing or [unguard_formula(row.fields[0]) for row in body] != names:
         what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
@@ -384,5 +384,5 @@ def _read_covariance_matrix(path: Path, wanted: Sequence[str]) -> Floats:
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)
-    at = [names.index(name) for name in wanted]
+    at = [names.index(name) for name in coordinate_names]
     return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]

@@ -154,20 +154,20 @@ def data_sheet_figures(name: str) -> dict[str, Any]:
     return dict(_data_sheets()[name])
 
 
-def complete_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+def complete_figures(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
 
     Raises ModelError when there is no such sheet, or a limit is in neither.
     """
     keys = data_sheet_figures(name)
-    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared]
+    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
     if missing:
         raise ModelError(
             f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
         )
-    if declared:
-        keys["source"] += f"; not from there: {', '.join(declared)}"
-    return {**keys, **declared}
+    if declared_values:
+        keys["source"] += f"; not from there: {', '.join(declared_values)}"
+    return {**keys, **declared_values}
 
 
 def data_sheet(name: str) -> Specification:
@@ -176,14 +176,14 @@ def data_sheet(name: str) -> Specification:
 
 
 def noise_and_prior_tables(
-    name: str, given: Mapping[str, Any], limits: Iterable[str] = ()
+    name: str, declared_tables: Mapping[str, Any], limits: Iterable[str] = ()
 ) -> dict[str, dict[str, float]]:
-    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `given`.
+    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `declared_tables`.
 
     No available data sheet states the range of elevations of an instrument: `limits` are the keys of that table that
-    `given` must contain.
+    `declared_tables` must contain.
 
-    Raises ModelError when there is no such sheet, or a value is neither in it nor in `given`.
+    Raises ModelError when there is no such sheet, or a value is neither in it nor in `declared_tables`.
     """
     published = data_sheet_figures(name)
     whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
@@ -191,7 +191,10 @@ def noise_and_prior_tables(
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
     if any(key not in published for key in REQUIRED_LIMITS):
         declared = {
-            f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]
+            f"{table}.{key}"
+            for table in tables
+            if isinstance(declared_tables.get(table), Mapping)
+            for key in declared_tables[table]
         }
         ranges = [
             f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
@@ -199,7 +202,7 @@ def noise_and_prior_tables(
         missing = [key for key in ranges if key not in declared]
         if missing:
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
-    travel = given.get("limits")
+    travel = declared_tables.get("limits")
     open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
     if open_:
         raise ModelError(

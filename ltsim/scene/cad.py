@@ -95,12 +95,12 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 
 
 @lru_cache(maxsize=8)
-def _read_triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
+def _read_triangles(path: Path, _changed: int, factor: float, up_axis: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
     triangles = _triangles_in_file_units(path, factor)
     parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
-        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts]
+        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up_axis) for start in parts]
     )
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
@@ -113,12 +113,12 @@ def _read_triangles(path: Path, _changed: int, factor: float, up: str) -> Floats
     return settled
 
 
-def _rounded_to_grid(triangles: Floats, up: str) -> Ints:
+def _rounded_to_grid(triangles: Floats, up_axis: str) -> Ints:
     """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
 
     Each triangle starts with its first corner.
     """
-    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up == "y" else triangles)).astype(
+    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up_axis == "y" else triangles)).astype(
         np.int64
     )
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]

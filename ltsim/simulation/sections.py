@@ -390,8 +390,12 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def from_effect(cls, given: Effect | SizedEffect) -> Self:
+    def from_effect(cls, effect_with_sizes: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        effect, sizes = (given.effect, dict(given.parameter_values)) if isinstance(given, SizedEffect) else (given, {})
+        effect, sizes = (
+            (effect_with_sizes.effect, dict(effect_with_sizes.parameter_values))
+            if isinstance(effect_with_sizes, SizedEffect)
+            else (effect_with_sizes, {})
+        )
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

@@ -59,8 +59,8 @@ def test_every_variance_function_is_linear_in_its_size(repeated):
     space, _, bank = repeated
     for h in bank.hypotheses[::97]:
         if isinstance(h.effect, VarianceFunction):
-            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.values[0]))
-            expected = space.sigma**2 + h.values[0] * (unit - space.sigma**2)
+            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.sizes[0]))
+            expected = space.sigma**2 + h.sizes[0] * (unit - space.sigma**2)
             np.testing.assert_allclose(sized, expected, rtol=1e-12)
 
 
@@ -108,7 +108,7 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
         i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
         grown = np.ones(space.n_rows + len(sums))
-        places, logs = bank.factors.row(i)
+        places, logs = bank.factors.log_variance_factors(i)
         grown[places] = np.exp(logs)
         covariance = np.diag(grown[: space.n_rows]) + sums.T @ np.diag(grown[space.n_rows :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual

@@ -201,8 +201,6 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
 
     Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
     from zero.
-
-    Such a term is estimated and not tested; the size is the one at which its estimate differs significantly from zero.
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]

@@ -118,20 +118,24 @@ class EmpiricalLaw(CandidateEffect):
         design: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
-    def change_along_direction(self, moved: Floats, sightings: Sightings, rows: Ints | None = None) -> Floats:
+    def change_along_direction(
+        self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
+    ) -> Floats:
         """Change (r, ..., 1) of readings along the law's direction from that by each component (r, ..., c).
 
         The pointings of the readings are `rows` (r,), all in order if None; without a direction nothing is changed.
         """
         if not self.direction:
-            return moved
+            return component_changes
         ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
         if self.is_per_setup:
             at = np.full(len(sightings.station_names), -1)
             at[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
             which = at[sightings.station if rows is None else sightings.station[rows]]
             ratios = np.where(which[:, None] >= 0, ratios[which], 0.0)
-        along: Floats = np.einsum("r...c,rc->r...", moved, np.broadcast_to(ratios, (len(moved), ratios.shape[1])))
+        along: Floats = np.einsum(
+            "r...c,rc->r...", component_changes, np.broadcast_to(ratios, (len(component_changes), ratios.shape[1]))
+        )
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
@@ -227,11 +231,11 @@ class EmpiricalLaw(CandidateEffect):
                     laws.append(self._with_factor(steps, made))
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
-    def _with_factor(self, old: Regressor, new: Regressor) -> EmpiricalLaw:
+    def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
         """Copy of the law with its regressor, or a factor of it, replaced."""
-        if self.regressor == old:
-            return replace(self, regressor=new)
-        factors = tuple(new if factor == old else factor for factor in self.regressor.factors)
+        if self.regressor == old_factor:
+            return replace(self, regressor=new_factor)
+        factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
         return replace(self, regressor=replace(self.regressor, factors=factors))
 
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:

@@ -118,8 +118,8 @@ def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
     return values.get("distance", NOT_MEASURED), values.get("azimuth", NOT_MEASURED) % (2 * np.pi), elevation
 
 
-def _sigmas(measured: dict[str, XmlNode]) -> dict[str, float]:
-    sigmas = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in measured}
+def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
+    sigmas = {name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in nodes}
     unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
     return {SIGMA_ATTRIBUTES[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
 

@@ -89,14 +89,14 @@ def campaign_section(folder: Path) -> Section:
     results = CampaignResults(folder)
     manifest = results.manifest
     spreads = {name: results.distribution(name) for name in results.columns if ":" not in name}
-    scores, ends = results.z_score_summaries(), results.solver_comparisons()
+    scores, comparisons = results.z_score_summaries(), results.solver_comparisons()
     published = PUBLISHED_CRITERIA.get(str(manifest.settings.get("scenario", "")), {})
     drawn_ = _distribution_figures(results, published)
     shown = [*_improvement_figures(results, spreads, published), *_varying_factors_table(results)] or drawn_[:1]
     shown += _means_by_level_table(results, spreads)
     shown[1:1] = _error_tables(results, spreads)
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
-    blocks += [*_coverage_blocks(results, scores), *_statistic_tables(results, spreads, ends)]
+    blocks += [*_coverage_blocks(results, scores), *_statistic_tables(results, spreads, comparisons)]
     blocks.append(CodeBlock("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
     blocks.append(CodeBlock("Scenarios of its cells", json.dumps(scenarios, indent=1)))
@@ -104,9 +104,9 @@ def campaign_section(folder: Path) -> Section:
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
         kind="Campaign",
-        summary=_answer_sentence(results, spreads, ends),
-        assessment=assessment_of(not sum(end.failed for end in ends)),
-        key_figures=_key_figures(manifest, ends, scores),
+        summary=_answer_sentence(results, spreads, comparisons),
+        assessment=assessment_of(not sum(comparison.failed for comparison in comparisons)),
+        key_figures=_key_figures(manifest, comparisons, scores),
         blocks=blocks,
         seed=str(manifest.seed),
         versions=versions,
@@ -121,11 +121,14 @@ def _mean_text(s: StatisticSummary, level: str = "95 %: ") -> str:
 
 
 def _answer_sentence(
-    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> str:
     """Answer: factors, improvement by calibration, best and worst cells."""
     manifest, factors = results.manifest, varying_factors(results)
-    fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
+    fewest, most = (
+        min(comparison.trials for comparison in comparisons),
+        max(comparison.trials for comparison in comparisons),
+    )
     size = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         size += f" in each of {len(manifest.cells)} settings"
@@ -161,12 +164,16 @@ def _list_text(words: Sequence[str]) -> str:
 
 
 def _key_figures(
-    manifest: ManifestFile, ends: Sequence[SolverComparison], scores: Sequence[ZScoreSummary]
+    manifest: ManifestFile, comparisons: Sequence[SolverComparison], scores: Sequence[ZScoreSummary]
 ) -> list[KeyFigure]:
-    failed = sum(end.failed for end in ends)
-    checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
+    failed = sum(comparison.failed for comparison in comparisons)
+    checked = [
+        comparison.largest_difference_sigma
+        for comparison in comparisons
+        if comparison.largest_difference_sigma is not None
+    ]
     facts = [
-        KeyFigure("trials", str(sum(end.trials for end in ends))),
+        KeyFigure("trials", str(sum(comparison.trials for comparison in comparisons))),
         KeyFigure("settings", str(len(manifest.cells))),
         KeyFigure("methods", ", ".join(manifest.methods)),
         KeyFigure("failed", str(failed), assessment_of(not failed)),
@@ -316,7 +323,7 @@ def _column_meaning(column: str) -> str:
 
 
 def _statistic_tables(
-    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> list[Block]:
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
@@ -324,7 +331,7 @@ def _statistic_tables(
     shown = _settings_table(results, cells.with_columns(" ".join(name for name in cells.header if name not in more)))
     means = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in spreads]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
-    failed = frozenset(i for i, e in enumerate(ends) if e.failed)
+    failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)
     ended = results.table("ends")
     ended = _settings_table(results, ended.with_columns(" ".join(name for name in ended.header if name != "cell")))
     return [

@@ -265,15 +265,15 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
     return [PictureBlock(f"Place of finding {finding_number}", figure, caption)]
 
 
-def _place_text(where: FindingScope) -> str:
+def _place_text(scope: FindingScope) -> str:
     parts = [
         f"{word} {listing(list(names))}"
         for word, names in (
-            ("in", where.observables),
-            ("of instrument", where.instruments),
-            ("at station", where.stations),
-            ("at target", where.targets),
-            ("along", where.covariates),
+            ("in", scope.observables),
+            ("of instrument", scope.instruments),
+            ("at station", scope.stations),
+            ("at target", scope.targets),
+            ("along", scope.covariates),
         )
         if names
     ]
