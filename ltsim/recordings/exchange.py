@@ -26,8 +26,9 @@ from ltsim.recordings.tables import reader as tables
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
 HEAD_SIZE = 16_384
+"""Number of bytes at the beginning of a file by which its format is recognised."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
+"""Number of contradictory rows from which a list of points is interpreted as positions of a moving target."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT = "names and coordinates, which are not a recording"

@@ -190,10 +190,7 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Rows (m,) sorted by the block that they touch, limits of these groups, and rows (m, 3) on their block.
-
-    Rows without a block are last.
-    """
+    """Rows (m,) sorted by block, limits of the groups, and their entries (m, 3); rows without a block are last."""
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
     block[rows[behind]] = (design.indices[behind] - n_reduced) // 3

@@ -152,7 +152,8 @@ def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_
     assert "target" in first.carrier and first.driver.startswith("time")
     assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
     errors = [
-        rigid_gap(points, state.target_points) for points in (found.baseline.state.target_points, found.targets.points)
+        rigid_gap(points, state.target_points)
+        for points in (found.baseline_adjustment.state.target_points, found.targets.points)
     ]
     assert errors[1] < 0.8 * errors[0]
 
@@ -413,6 +414,6 @@ def test_targets_are_no_worse_than_those_of_the_right_explanation():
     hidden, _ = strengthened(recording, state, change)
     found = diagnose(hidden)
     assert rigid_gap(found.targets.points, state.target_points) < 1.05 * rigid_gap(
-        found.baseline.state.target_points, state.target_points
+        found.baseline_adjustment.state.target_points, state.target_points
     )
     assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)

@@ -16,9 +16,9 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -31,12 +31,12 @@ class Search:
     def __init__(self, faces: int) -> None:
         recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
         self.space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
-        self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
+        self.noise = NoiseBank.from_space(self.space, noise_hypotheses(self.space.sightings))
+        self.detection: Detection = detect(Searcher(self.space, 0, MIN_SIMULATED_RECORDINGS), self.noise)
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
-        ordinary = {type(effect) for effect in BASELINE}
+        ordinary = {type(effect) for effect in BASELINE_EFFECTS}
         for kind in CATALOGUE:
             shifts = kind not in ordinary and not issubclass(kind, NoiseEffect)
             places = list(kind.candidates(self.space.sightings)) if shifts else []
@@ -66,14 +66,14 @@ class Search:
         """Share of recordings with it whose search is above the threshold."""
         white = stream(11, "power").standard_normal((self.space.n_rows, trials))
         residual = self.space.project(white) + shift[:, None]
-        usual = NullEnsemble.of
+        usual = NullEnsemble.from_space
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
             patch.setattr(
                 NullEnsemble,
-                "of",
+                "from_space",
                 staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
-            scored = Searcher(self.space, 0).first.null
+            scored = Searcher(self.space, 0).empty_model_screening.null_statistics
         statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
         return float(np.mean(statistic > self.detection.threshold(GLOBAL_LEVEL)))
 
