@@ -71,6 +71,8 @@ class PointList:
     """Line number of each point in the file."""
     n_contradictory_rows: int = 0
     """Number of rows that repeat a name with other coordinates and are ignored."""
+    max_contradiction_m: float = 0.0
+    """Largest distance [m] of an ignored row from the first one of its name."""
 
     @property
     def sigma(self) -> Floats:
@@ -174,6 +176,7 @@ class _PointRowReader:
         self.sheet.require_complete_end(self.width)
         listed: dict[str, tuple[SheetRow, list[float]]] = {}
         notes = []
+        ignored: list[tuple[list[float], list[float]]] = []
         for row in self.rows:
             if row.is_comment or not any(row.fields):
                 continue
@@ -183,6 +186,7 @@ class _PointRowReader:
                 if strict:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
+                ignored.append((listed[name][1], values))
             listed.setdefault(name, (row, values))
         if not listed:
             raise RecordError("holds no points", file=self.sheet.file)
@@ -195,7 +199,10 @@ class _PointRowReader:
         texts = {c.title: tuple(row.cell(c.position) for row, _ in listed.values()) for c in further}
         lines = tuple(row.line for row, _ in listed.values())
         covariance = _covariance(numbers, len(listed))
-        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
+        axes = [role in COORDINATE_ROLES for role in self.numbers]
+        gaps = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
+        largest = float(np.nanmax(np.linalg.norm(gaps[:, axes], axis=1), initial=0.0))
+        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes), largest)
 
     def _values(self, row: SheetRow) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN for an empty cell."""
