@@ -127,7 +127,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
         places.setdefault(target, set()).add(station)
     spellings_of: dict[str, list[str]] = {}
     for target in places:
-        spellings_of.setdefault(_normalised_name(target), []).append(target)
+        spellings_of.setdefault(normalised_name(target), []).append(target)
     common = {
         name: spellings[0]
         for spellings in spellings_of.values()
@@ -154,7 +154,8 @@ def _shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
-def _normalised_name(name: str) -> str:
+def normalised_name(name: str) -> str:
+    """Name of a target without differences of case, blanks and leading zeros."""
     bare = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
 
