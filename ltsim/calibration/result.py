@@ -247,7 +247,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     )
     scale = scale_of_declared_axes(adjustment)
     if scale is not None:
-        amount = with_sigma(*(value / PPM for value in scale))
+        amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
         sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
     return (f"{sentence}; excluded from the datum: {listing(out)}" if out else sentence,)
 
