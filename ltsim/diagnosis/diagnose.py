@@ -113,6 +113,7 @@ def diagnose(
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
+            del case, beginning, detection, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
             beginning, detection, model, fitted = _searched(case, level, compared)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.calibration.evidence import log_evidence_by_size, log_sum_exp, size_weights_and_constants
+from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
@@ -148,7 +148,7 @@ class LawBatch:
     weights: Singles
     columns: RegressorColumns
     log_prior: Floats
-    _forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
+    _forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _spreads(self) -> list[Floats]:
@@ -186,13 +186,12 @@ class LawBatch:
         null = np.full((1, probe.count), -np.inf)
         if probe.is_first_pass:
             turned = self._turned(probe.gram(scores, self._self_products(columns)), part)
-            self._forms[part.start] = [(size_weights_and_constants(strength), turn) for strength, turn in turned]
+            self._forms[part.start] = turned
             if probe.count:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_sum_exp(log_evidence_by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
-            for forms, turn in self._forms[part.start]
+            log_evidence((turn @ score[..., None])[..., 0] ** 2, strength) for strength, turn in self._forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 

@@ -60,8 +60,8 @@ SWINGS = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
-MAX_CACHED = 25_000_000
-"""Largest number of entries of the columns of all regressors that stay in memory, 100 MB; computing them anew takes a
+MAX_CACHED = 10_000_000
+"""Largest number of entries of the columns of all regressors that stay in memory, 40 MB; computing them anew takes a
 sixth of the time of a scoring.
 """
 Drivers = Mapping[str, Sequence[Regressor]]
