@@ -199,8 +199,11 @@ def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Bl
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
-    if content.verdict.sentence and not content.noise_estimated:
-        blocks.append(Note("Verdict", content.verdict.sentence))
+    verdict = content.verdict.sentence
+    if content.noise_estimated:  # the global test does not apply to it, the causes do
+        verdict = " ".join(test.sentence for test in content.tests if test.sentence and test.sentence in verdict)
+    if verdict:
+        blocks.append(Note("Verdict", verdict))
     lines = uncertainty_sentences(content)
     blocks += [BulletList("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
