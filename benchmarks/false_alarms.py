@@ -43,7 +43,7 @@ def hall(size: str) -> str:
 def chance(seed: int, file: Path) -> tuple[float, int]:
     """The p-value of the search on one clean recording, compared with its own draws, and how many unknowns it has."""
     found = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
-    return found.global_test.search_p_value, found.baseline.solution.system.design.shape[1]
+    return found.global_test.search_p_value, found.baseline_adjustment.solution.system.design.shape[1]
 
 
 def fell(seed: int, file: Path) -> bool | None:

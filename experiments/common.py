@@ -21,7 +21,7 @@ from ltsim.campaigns import spec
 from ltsim.campaigns.paired import PairedDifferences
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.spec import CampaignCell, CampaignFile, load_campaign
-from ltsim.reports.style import svg
+from ltsim.reports.style import svg_text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
@@ -120,7 +120,7 @@ def write_pairs(path: Path, *pairs: PairedDifferences) -> None:
 def write_figure(path: Path, figure: Figure) -> None:
     """An SVG file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(svg(figure), encoding="utf-8")
+    path.write_text(svg_text(figure), encoding="utf-8")
 
 
 def refuse_changes(out: Path) -> None:

@@ -1,4 +1,7 @@
-"""Simulate, calibrate, plan and diagnose laser-tracker networks.
+"""Simulate, calibrate, plan and diagnose laser-tracker networks. Import the package with `import ltsim as lt`.
+
+Then use `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names of `__all__`. Each name is loaded
+from its package when it is first used. `lt.effects` is the package of the physical effects.
 
 The front door: `import ltsim as lt`, then `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names
 of `__all__`, each loaded from its package when it is first used. `lt.effects` is the package of the physical effects.

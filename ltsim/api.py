@@ -21,17 +21,17 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     Parameters
     ----------
     path : str or Path
-        A folder or a file.
+        Folder or file.
     format : str, optional
-        Name of a recording's format; default by content, then by suffix.
+        Name of the format of a recording; default by content, then by suffix.
     hints : Hints, optional
-        What an ambiguous recording means: `ltsim.recordings.Hints`.
+        Interpretation of an ambiguous recording, such as the unit of its angles.
 
     Returns
     -------
     Recording, or the result
-        A recording's `notes` say what was decided about ambiguous conventions, skipped or left out. Of a folder that
-        holds a recording and results the recording is read; name the result's file to read that.
+        `notes` of a recording report how ambiguous conventions were interpreted, and rows that were not used. For a
+        folder with a recording and results the recording is read; give the path of a result's file to read that.
 
     Raises
     ------
@@ -62,16 +62,16 @@ def _result_file(place: Path) -> Path | None:
         return place if place.suffix == ".json" and not is_recording(place) else None
     if (place / OBSERVATIONS_FILE).is_file():
         return None
-    from ltsim.reports.schemas import FILES  # which takes a second
+    from ltsim.reports.schemas import FILE_MODELS  # which takes a second
 
-    return next((place / name for name in FILES if name.endswith(".json") and (place / name).is_file()), None)
+    return next((place / name for name in FILE_MODELS if name.endswith(".json") and (place / name).is_file()), None)
 
 
 def _read_result(file: Path) -> Any:
     """Result in a file of a command."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import read_calibration
-    from ltsim.reports.schemas import RESULTS
+    from ltsim.reports.schemas import RESULT_MODELS
 
     kind = str(read_json(file, "result of ltsim").get("format", ""))
     if kind == Calibration.model_fields["format"].default:
@@ -80,7 +80,7 @@ def _read_result(file: Path) -> Any:
         from ltsim.campaigns.results import CampaignResults
 
         return CampaignResults(file.parent)  # the rows beside the manifest
-    model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
+    model = next((m for m in RESULT_MODELS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)
     return read_result(file, model)
@@ -97,13 +97,13 @@ def write(
 
     Parameters
     ----------
-    result : Recording, or what a verb with a file returns
+    result : Recording, or result of a verb with a file
     path : str or Path
-        Of the folder or file; what is there is replaced.
+        Path of the folder or file; existing files are replaced.
     format : str
-        Of a recording: `native`, or another format that can be written.
+        Format of a recording: `native`, or another format that can be written.
     recording : Recording, optional
-        What a diagnosis was found from, to lie beside it for its report.
+        Recording of a diagnosis, written to the same folder for the report.
 
     Raises
     ------
@@ -144,9 +144,9 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
         case Plan():
             write_plan(result, path)
         case ResultFile():
-            from ltsim.reports.schemas import TABLES  # which takes half a second
+            from ltsim.reports.schemas import COMPANION_TABLES  # which takes half a second
 
-            named = {table.file for table in TABLES.get(result.FILE, ())}
+            named = {table.file for table in COMPANION_TABLES.get(result.FILE, ())}
             tables = [result.table(name) for name in result._tables()]
             write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})
         case _:
@@ -171,15 +171,15 @@ def convert(
     to : str
         Format to write.
     format, hints
-        As of `read`.
+        Format and interpretation of the source, as of `read`.
     every : int
-        Write one of so many pointings of each sight, of a station to a target on a face: a long monitoring has more
-        than a network needs.
+        Thinning: one of so many pointings of each sight (of a station to a target on one face) is written. A long
+        monitoring has more pointings than a network needs.
 
     Returns
     -------
     Recording
-        As it was written. Its `notes` say what was decided about an ambiguous file.
+        Recording as written. Its `notes` report how an ambiguous file was interpreted.
 
     Examples
     --------

@@ -46,4 +46,4 @@ def no_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a verb says after ten seconds depends on the clock: tests that look at it shorten the wait themselves."""
     from ltsim.cli import terminal
 
-    monkeypatch.setattr(terminal, "PROGRESS_DELAY", 3600.0)
+    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 3600.0)

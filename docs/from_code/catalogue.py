@@ -13,7 +13,17 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, catalogue_entry
-from ltsim.reports.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
+from ltsim.reports.style import (
+    BLUE,
+    INK_COLOUR,
+    ORANGE,
+    add_legend,
+    new_figure,
+    set_grid,
+    svg_data_uri,
+    svg_text,
+    with_figure_style,
+)
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -101,7 +111,7 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
         f"{f' at {place}' if place else ''}, seen from one station of the paper's workshop. "
         f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of its squared size."
     )
-    address = svg_uri(svg(_figure(effect, sightings, moved)))
+    address = svg_data_uri(svg_text(_figure(effect, sightings, moved)))
     picture = pictures.keep(f"effect-{kind.name}", address, f"signature of {kind.name}")
     return ["", picture, "", words, ""]
 
@@ -117,7 +127,7 @@ def _displacement(effect: Effect, sightings: Sightings) -> Floats:
     return moved / MICROMETRE
 
 
-@styled
+@with_figure_style
 def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
     """Three panels over what the effect depends on; both faces of one station where it acts."""
     name = next(
@@ -133,10 +143,10 @@ def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
         for face, colour in ((1, BLUE), (2, ORANGE)):
             rows = shown & (sightings.face == face)
             ax.scatter(axis(sightings)[rows], moved[rows, k], s=9, color=colour, linewidths=0, label=f"face {face}")
-        ax.axhline(0.0, color=INK, linewidth=0.6)
+        ax.axhline(0.0, color=INK_COLOUR, linewidth=0.6)
         ax.set_title(SIDES[k])
-        quiet_axis(ax, grid="both")
+        set_grid(ax, grid_axis="both")
     panels[1].set_xlabel(title)
     panels[0].set_ylabel("change of the point [µm]")
-    legend_of(figure, panels)
+    add_legend(figure, panels)
     return figure

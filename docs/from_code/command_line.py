@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from ltsim.cli.main import VERBS, app
+from ltsim.cli.main import COMMANDS, app
 
 
 def verbs() -> str:
@@ -13,7 +13,7 @@ def verbs() -> str:
     group: Any = typer.main.get_command(app)
     context = group.make_context("ltsim", ["--help"], resilient_parsing=True)
     lines: list[str] = []
-    for name in VERBS:
+    for name in COMMANDS:
         lines += _verb(name, group.get_command(context, name), context)
     return "\n".join(lines)
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import ltsim as lt
 from from_code.pictures import Pictures
 from ltsim.reports import scene3d
-from ltsim.reports.style import svg, svg_uri
+from ltsim.reports.style import svg_data_uri, svg_text
 
 HOW_TO = Path(__file__).resolve().parents[1] / "how-to"
 """Where the files lie that the how-tos have for download."""
@@ -25,8 +25,8 @@ def shown(pictures: Pictures, lines: list[str], name: str) -> str:
         exec("\n".join(code), names)
         made = eval(last, names)
     if isinstance(made, Figure):
-        address = svg_uri(svg(made))
+        address = svg_data_uri(svg_text(made))
     else:
-        picture = base64.b64encode(scene3d.picture(made.workshop, window_size=(1000, 720))).decode()
+        picture = base64.b64encode(scene3d.scene_png(made.workshop, window_size=(1000, 720))).decode()
         address = f"data:image/png;base64,{picture}"
     return f"{pictures.keep(name, address, caption)}\n\n*{caption}*"

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 from from_code.pictures import Pictures
 from from_code.shell import commands, execute
-from ltsim.reports.page import document
+from ltsim.reports.page import document_of_folder
 
 
 @cache
@@ -25,12 +25,12 @@ def shown(pictures: Pictures, lines: list[str], folder: str) -> str:
             outcome = execute(command)
             if not outcome.right:
                 raise RuntimeError(f"{command}: {outcome.said}")
-        sections = document(Path(folder)).sections
+        sections = document_of_folder(Path(folder)).sections
     parts = ["```sh", *lines, f"ltsim report {folder}", "```", ""]
     for section in sections:
         for block in section.blocks:
             if block.kind == "picture":
                 name = re.sub(r"\W+", "-", f"{folder}-{block.title}".lower())
-                image = pictures.keep(name, block.uri, block.caption)
+                image = pictures.keep(name, block.data_uri, block.caption)
                 parts += [f"**{block.title}**", "", image, "", block.caption, ""]
     return "\n".join(parts)

@@ -11,11 +11,11 @@ from ltsim.reports import schemas
 
 def files() -> str:
     """Markdown: a section a file, with the tables that lie beside it."""
-    models = {model.FILE: model for model in schemas.RESULTS}
+    models = {model.FILE: model for model in schemas.RESULT_MODELS}
     lines: list[str] = []
     for file, model in models.items():
         lines += ["", f"## {file}", sections(model, json_place, "###")]
-        for table in schemas.TABLES.get(file, ()):
+        for table in schemas.COMPANION_TABLES.get(file, ()):
             lines += _columns(table)
     return "\n".join(lines)
 
@@ -30,4 +30,4 @@ def _columns(table: Table) -> list[str]:
 def write_schemas(app: Sphinx, problem: Exception | None) -> None:
     """The JSON Schema of every file, below `schemas` of the built pages."""
     if problem is None:
-        schemas.main(Path(app.outdir) / "schemas")
+        schemas.write_schemas(Path(app.outdir) / "schemas")

@@ -14,7 +14,7 @@ def run(given: Options) -> Made:
     folder = given.out.parent / "readme"
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "workshop.png"
-    lt.view("paper-workshop").png(file)
+    lt.view("paper-workshop").write_png(file)
     with Image.open(file) as picture:
         picture.quantize(COLOURS).save(file, optimize=True)
     return Made(folder=folder)

@@ -19,7 +19,7 @@ from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
+from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA, TrialDistribution, distributions_figure
 from ltsim.simulation.gauge import measure_nominal_points
 
 DRAWN = {
@@ -28,7 +28,8 @@ DRAWN = {
 }
 """The cells whose distributions are drawn: those whose errors give the table's figures."""
 TABLES = {
-    table: {name.removesuffix("_um"): value for name, value in PAPER[f"paper-{table}"].items()} for table in DRAWN
+    table: {name.removesuffix("_um"): value for name, value in PUBLISHED_CRITERIA[f"paper-{table}"].items()}
+    for table in DRAWN
 }
 """Tables 3 and 4 of the paper [um, %]."""
 
@@ -143,7 +144,7 @@ def run(given: Options) -> Made:
         write_table(given.out / f"{name}.csv", rows)
         for cell, own in zip(cells, found, strict=True):
             if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
-                figure = distributions(figure_rows(own[table, "eq. 9"], table))
+                figure = distributions_figure(figure_rows(own[table, "eq. 9"], table))
                 figure.legends[0].set_title(f"{table}, {cell.levels['title']}, calibrated by eq. 9")
                 figure.legends[0].set_alignment("left")
                 write_figure(given.out / f"{name}.svg", figure)

@@ -1,7 +1,7 @@
 """The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import by_factor, swept
+from ltsim.reports.figures.campaign import factor_panels_figure, sweep_points
 
 AXIS = "stated prior over the true one"
 
@@ -10,12 +10,14 @@ def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     write_figure(
         given.out / "new_points.svg",
-        by_factor(swept(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),
+        factor_panels_figure(sweep_points(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),
     )
-    shown = swept(results, "distance_improvement_percent", "prior_factor", panel="title")
+    shown = sweep_points(results, "distance_improvement_percent", "prior_factor", panel="title")
     label = "improvement shown [%]"
-    write_figure(given.out / "criterion.svg", by_factor(shown, label=label, axis=AXIS))
+    write_figure(given.out / "criterion.svg", factor_panels_figure(shown, label=label, axis=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]
-    write_pairs(given.out / "paired.csv", *(results.paired(ERROR, method=(name, "network")) for name in rivals))
+    write_pairs(
+        given.out / "paired.csv", *(results.paired_differences(ERROR, method=(name, "network")) for name in rivals)
+    )
     return Made(results.manifest.seed, results.manifest.trials)

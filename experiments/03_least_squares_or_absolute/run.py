@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings.recording import Recording
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
@@ -104,5 +104,7 @@ def run(given: Options) -> Made:
             table.append(about | {f"new_point_{name}": value for name, value in new.items()} | targets)
             rows.append(SweepPoint(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
     write_table(given.out / "methods.csv", table)
-    write_figure(given.out / "new_points.svg", by_factor(rows, label=NEW_POINTS, axis="outliers [% of the readings]"))
+    write_figure(
+        given.out / "new_points.svg", factor_panels_figure(rows, label=NEW_POINTS, axis="outliers [% of the readings]")
+    )
     return Made(campaign.seed, campaign.trials)

@@ -3,19 +3,19 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import FLOOR, by_factor, by_setting, swept
+from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, factor_panels_figure, setting_rows_figure, sweep_points
 
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
-    figure = by_setting(swept(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
+    figure = setting_rows_figure(sweep_points(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
     figure.axes[0].set_ylabel("reflectors of the gauge, true error of the range scale")
     write_figure(given.out / "gauge.svg", figure)
-    rows = swept(orders, ERROR, "beyond_second_urad")
+    rows = sweep_points(orders, ERROR, "beyond_second_urad")
     # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.
-    floor = next(row for row in rows if row.line == FLOOR and not row.x)
-    rows = [replace(floor, x=row.x) if row.line == FLOOR else row for row in rows]
+    floor = next(row for row in rows if row.line == NOISE_FLOOR_LABEL and not row.level)
+    rows = [replace(floor, level=row.level) if row.line == NOISE_FLOOR_LABEL else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
-    write_figure(given.out / "harmonics.svg", by_factor(rows, label=NEW_POINTS, axis=axis))
-    write_pairs(given.out / "paired.csv", orders.paired(ERROR, method=("order 2", "order 4")))
+    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, label=NEW_POINTS, axis=axis))
+    write_pairs(given.out / "paired.csv", orders.paired_differences(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

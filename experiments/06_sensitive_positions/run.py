@@ -10,8 +10,8 @@ from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.reports.figures.campaign import by_setting, swept
-from ltsim.reports.style import CYCLE, new_figure, quiet_axis, styled
+from ltsim.reports.figures.campaign import setting_rows_figure, sweep_points
+from ltsim.reports.style import COLOUR_CYCLE, new_figure, set_grid, with_figure_style
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 DESIGNS = (
@@ -45,7 +45,7 @@ def sensitivity_rows(scenario: Scenario) -> list[Row]:
     ]
 
 
-@styled
+@with_figure_style
 def by_elevation(rows: list[Row], distance: float) -> Figure:
     """Shift of a point against elevation, a line an error; errors with the same line share it."""
     figure = new_figure(4.4)
@@ -56,17 +56,17 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
         lines.setdefault(tuple(shifts), []).append(name)
     elevation = sorted({row["elevation_deg"] for row in rows})
     for k, (shifts, names) in enumerate(lines.items()):
-        style = "-" if k < len(CYCLE) else "--"
+        style = "-" if k < len(COLOUR_CYCLE) else "--"
         ax.plot(
             elevation,
             shifts,
-            color=CYCLE[k % len(CYCLE)],
+            color=COLOUR_CYCLE[k % len(COLOUR_CYCLE)],
             linestyle=style,
             label=fill(", ".join(names), 75, break_on_hyphens=False),
         )
     ax.set_xlabel("elevation [°]")
     ax.set_ylabel(f"shift by one sigma at {distance:g} m [µm]")
-    quiet_axis(ax, grid="both")
+    set_grid(ax, grid_axis="both")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", fontsize=7, ncols=1)
     return figure
 
@@ -83,11 +83,11 @@ def run(given: Options) -> Made:
         moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
-    figure = by_setting(swept(results, ERROR, "title"), label=NEW_POINTS)
+    figure = setting_rows_figure(sweep_points(results, ERROR, "title"), label=NEW_POINTS)
     figure.axes[0].set_ylabel("heights of the reflectors")
     write_figure(given.out / "designs.svg", figure)
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
     first, *others = [cell["title"] for cell in cells]
-    pairs = [results.paired(ERROR, title=(other, first)) for other in others]
+    pairs = [results.paired_differences(ERROR, title=(other, first)) for other in others]
     write_pairs(given.out / "more_than_the_paper.csv", *pairs)
     return Made(results.manifest.seed, results.manifest.trials)

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
@@ -84,5 +84,5 @@ def run(given: Options) -> Made:
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
     label = "table found less table put in [µm]"
-    write_figure(given.out / "tables.svg", by_factor(shown, label=label, axis="incidence [°]"))
+    write_figure(given.out / "tables.svg", factor_panels_figure(shown, label=label, axis="incidence [°]"))
     return Made(seed, trials)

@@ -1,7 +1,7 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import by_factor, swept
+from ltsim.reports.figures.campaign import factor_panels_figure, sweep_points
 
 AXIS = "true noise over that of the specification"
 
@@ -9,8 +9,11 @@ AXIS = "true noise over that of the specification"
 def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for faces in (1, 2):
-        rows = swept(results, ERROR, "noise_factor", panel="title", faces=faces)
-        write_figure(given.out / f"faces-{faces}.svg", by_factor(rows, label=NEW_POINTS, axis=AXIS))
-    pairs = results.paired(ERROR, faces=(2, 1)), results.paired(ERROR, method=("network", "distance"))
+        rows = sweep_points(results, ERROR, "noise_factor", panel="title", faces=faces)
+        write_figure(given.out / f"faces-{faces}.svg", factor_panels_figure(rows, label=NEW_POINTS, axis=AXIS))
+    pairs = (
+        results.paired_differences(ERROR, faces=(2, 1)),
+        results.paired_differences(ERROR, method=("network", "distance")),
+    )
     write_pairs(given.out / "paired.csv", *pairs)
     return Made(results.manifest.seed, results.manifest.trials)

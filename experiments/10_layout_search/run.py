@@ -23,7 +23,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.workshop import layout_objective, make_search_space, planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
-from ltsim.reports.workshop import from_scenario
+from ltsim.reports.workshop import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
@@ -97,7 +97,7 @@ def corrections(information: LayoutInformation) -> Floats:
     axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
     raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
     size = information.construction.n_parameters
-    _, _, by_value = information.construction.linearised(raw, np.zeros(size))
+    _, _, by_value = information.construction.linearise(raw, np.zeros(size))
     return by_value.reshape(-1, size) * information.prior_sigma
 
 
@@ -195,7 +195,7 @@ def run(given: Options) -> Made:
                 tables["parameters"] += [words | row for row in rows]
                 tables["check"].append(words | summary)
             if kind == "searched":
-                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(from_scenario(scenario)))
+                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(workshop_from_scenario(scenario)))
     for name, table in tables.items():
         show_table(given.out / f"{name}.csv", table)
     return Made(config["seed"], trials, {"reasons": reasons})

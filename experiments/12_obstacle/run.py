@@ -12,7 +12,7 @@ from ltsim.planning.result import Plan
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.workshop import planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
-from ltsim.reports.workshop import from_scenario
+from ltsim.reports.workshop import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
 from ltsim.simulation.workshop import make_visibility
@@ -56,6 +56,6 @@ def run(given: Options) -> Made:
     lost = make_visibility(full).invisible_pair_sentences(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", scenario_of_plan(plans["machine"]))):
-        write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
+        write_figure(given.out / f"{name}.svg", floor_plan(workshop_from_scenario(scenario)))
     reasons = {name: Plan.from_network(plan).reasons for name, plan in plans.items()}
     return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

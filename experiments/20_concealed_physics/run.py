@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, commit, write_figure
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 from . import entrants, make
 from .__main__ import plan_file, score
@@ -41,8 +41,8 @@ def draw(folder: Path) -> None:
               for p in points(answers, f"error of targets over told, {level}", who, level)]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
     if told:
-        write_figure(folder / "told.svg", by_factor(told, label="share of recordings [%]", axis=axis))
-        figure = by_factor(errors, label="targets' error over told", axis=axis)
+        write_figure(folder / "told.svg", factor_panels_figure(told, label="share of recordings [%]", axis=axis))
+        figure = factor_panels_figure(errors, label="targets' error over told", axis=axis)
         figure.axes[0].set(yscale="log", yticks=(ticks := (1, 2, 5, 10, 20, 50)), yticklabels=ticks)
         write_figure(folder / "targets.svg", figure)
 

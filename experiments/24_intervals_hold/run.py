@@ -8,7 +8,7 @@ from scipy import stats
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
 from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, SolverComparison
 from ltsim.core.arrays import Floats
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 CONSTRUCTIONS = {
     "source in head": {"construction": "misalignment"},
@@ -37,8 +37,8 @@ def run(given: Options) -> Made:
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.solver_comparisons()[0]))
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
-    figure = by_factor(
-        [SweepPoint(*own, 0, 0) for own in ends], label="inside 95 % intervals [%]", axis="", joined=False
+    figure = factor_panels_figure(
+        [SweepPoint(*own, 0, 0) for own in ends], label="inside 95 % intervals [%]", axis="", joins_points=False
     )
     write_figure(given.out / "intervals.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)

@@ -13,7 +13,7 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.specification import data_sheet
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 BLOCK = 1000
 
@@ -73,5 +73,5 @@ def run(given: Options) -> Made:
     rows += [row_of("all within", found[found.share <= 1]), row_of("all beyond", found[found.share > 1])]
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
-    write_figure(given.out / "population.svg", by_factor(curves, label="pass every test [%]", axis=axis))
+    write_figure(given.out / "population.svg", factor_panels_figure(curves, label="pass every test [%]", axis=axis))
     return Made(config["seed"], trials)

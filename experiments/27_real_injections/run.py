@@ -22,7 +22,7 @@ from experiments.common import RECORDINGS as DATA, Made, Options, Row, show_tabl
 from experiments.intervals import share
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.parallel import run_parallel
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 from . import ideal
 from .injections import background, injection, key, named, new, placed
@@ -139,5 +139,7 @@ def run(given: Options) -> Made:
     curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
               for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
     axis = "noncentrality after the adjustment"
-    write_figure(given.out / "curves.svg", by_factor(curves, label="share of causes, of findings [%]", axis=axis))
+    write_figure(
+        given.out / "curves.svg", factor_panels_figure(curves, label="share of causes, of findings [%]", axis=axis)
+    )
     return Made(settings["seed"], given.trials)

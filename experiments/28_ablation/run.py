@@ -16,12 +16,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
-from ltsim.diagnosis.prior import log_share
-from ltsim.diagnosis.space import panels
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
+from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.space import law_batches
 from ltsim.physics.laws.regressors import Regressor, operator_input
 from ltsim.physics.model.construction import declared_construction
-from ltsim.reports.figures.campaign import SweepPoint, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05
@@ -41,18 +41,18 @@ def part_of(driver: Regressor) -> str:
 def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     """Log evidence of each part of the searched space, in the recording and in simulated ones (trials,)."""
     sightings, instruments = space.sightings, space.adjustment.recording.instruments
-    probe = NullEnsemble.of(space, 0, TRIALS)
-    bank = NoiseBank.of(space, noise_hypotheses(sightings, instruments))
-    cards = CatalogueSignatures.of(space, catalogue_hypotheses(sightings, instruments))
-    values, chance = cards.score(probe)
+    probe = NullEnsemble.from_space(space, 0, MIN_SIMULATED_RECORDINGS)
+    bank = NoiseBank.from_space(space, noise_hypotheses(sightings, instruments))
+    cards = CatalogueSignatures.from_space(space, catalogue_hypotheses(sightings, instruments))
+    values, chance = cards.log_evidence_and_trials(probe)
     own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
-    drawn = bank.family_evidence(probe.trials, space.redundancy)
-    share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
+    drawn = bank.family_evidence(probe.simulated_residuals, space.redundancy)
+    share, families = log_prior_share("named", len(cards.families)), cards.family_evidence(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip
-    for panel in panels(space):
-        part = panel.carriers[0].kind, part_of(panel.drivers[0])
-        found.setdefault(part, []).append(panel.score(probe)[1:])
+    for panel in law_batches(space):
+        part = panel.responses[0].kind, part_of(panel.regressors[0])
+        found.setdefault(part, []).append(panel.best_laws_and_totals(probe)[1:])
     return found
 
 
@@ -98,6 +98,6 @@ def run(given: Options) -> Made:
     lines = [SweepPoint(str(r["strength"]), what, "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
              for what in (WHOLE, CHI2, *least.index) for r in table.get_group(what).to_dict("records")]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
-    figure = by_factor(lines, label="laws found at 5 % false alarms [%]", axis=axis)
+    figure = factor_panels_figure(lines, label="laws found at 5 % false alarms [%]", axis=axis)
     write_figure(given.out / "power.svg", figure)
     return Made(cases[0].seed, more=more)

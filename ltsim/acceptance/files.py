@@ -124,7 +124,10 @@ class AcceptanceFile(ResultFile):
         return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"tests": lambda: TESTS_TABLE.filled(self.tests), "groups": lambda: GROUPS_TABLE.filled(self.groups)}
+        return {
+            "tests": lambda: TESTS_TABLE.with_rows(self.tests),
+            "groups": lambda: GROUPS_TABLE.with_rows(self.groups),
+        }
 
 
 def group_entries(

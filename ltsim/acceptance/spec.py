@@ -129,13 +129,13 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 
 
 def read_table_rows(
-    file: Path, needed: Sequence[str], optional: Sequence[str] = ()
+    file: Path, required: Sequence[str], optional: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a user-written table with the columns `needed`; raises RecordError or SetupError."""
+    """Lines and rows of a user-written table with the columns `required`; raises RecordError or SetupError."""
     header, rows = table_rows(file)
-    missing = [name for name in needed if name not in header]
+    missing = [name for name in required if name not in header]
     if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *optional])}")
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*required, *optional])}")
     return rows
 
 
@@ -222,7 +222,7 @@ class AcceptanceSettings(TomlSection):
     """Root of the random draws."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_complete(self) -> Self:
         if self.instrument is None and self.specification is None:
             raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests is None):

@@ -36,10 +36,10 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
     Parameters
     ----------
-    acceptance : str, Path, mapping or Acceptance
-        An acceptance file, or its tables; `format` may be left out of tables.
+    acceptance : str, Path, mapping or AcceptanceSettings
+        Acceptance file, or its tables; tables need no `format`.
     folder : str or Path
-        From where tables name other files.
+        Folder to which the names of other files are relative.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def network_test_entries(recording: Recording, specification: Specification) -> 
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.measured.all(axis=1) & ~adjustment.is_gross_pointing
+    whole = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (

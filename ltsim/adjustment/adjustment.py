@@ -18,9 +18,9 @@ from ltsim.adjustment.reliability import (
     MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
     noisy_groups,
-    normalised,
     p_value_of_tau,
     redundancy_numbers,
+    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
@@ -40,9 +40,8 @@ from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Number of poorly fitting readings above which they are not tested one after another, because the
-noise is then wrong.
-"""
+"""Number of poorly fitting readings above which the single readings are not tested: so many misfits mean that the noise
+is wrong."""
 
 
 @dataclass(frozen=True)
@@ -112,12 +111,12 @@ class Adjustment(Result):
         ----------
         recording : Recording
             The pointings; their readings only say which observables are measured.
-        state : State
-            Where stations and targets will be, and the instrument's parameters.
+        state : NetworkState
+            Planned stations and targets, and the instrument's parameters.
         construction, effects
-            Whose parameters are to be estimated; default an ideal tracker without any.
+            Construction and effects whose parameters are to be estimated; default an ideal tracker without parameters.
         prior : ParameterPrior, optional
-            What is known of these; default what the set-up states.
+            Prior of the instrument parameters; default that of the set-up.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -130,7 +129,7 @@ class Adjustment(Result):
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
-            if not recording.measured[:, 1:].any():
+            if not recording.is_measured[:, 1:].any():
                 message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
         return cls(problem, solution, np.zeros(len(recording), dtype=bool))
@@ -192,7 +191,7 @@ class Adjustment(Result):
         differences = problem.difference_rows.declared_components[:, :2].any()
         lengths = problem.used_readings[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "rough coordinates of two targets of the datum would"
+            cure = "approximate coordinates of two targets of the datum would"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True
@@ -237,7 +236,7 @@ class Adjustment(Result):
     @cached_property
     def normalised_residuals(self) -> Floats:
         """Normalised residuals (n, 3), standard normal for a correct model (Baarda 1968)."""
-        return normalised(self.problem, self.residuals, self.redundancy)
+        return standardised_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets(self) -> tuple[Ints, float, float]:
@@ -252,9 +251,9 @@ class Adjustment(Result):
     @property
     def undetermined_targets(self) -> tuple[str, ...]:
         """Names of measured targets that the readings in use do not determine and that are not adjusted."""
-        measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
-        lost = self.problem.structure.is_unmeasured_target & (measured > 0)
-        return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
+        targets = self.recording.targets
+        measured = np.bincount(self.recording.target, self.recording.is_measured.any(axis=1), len(targets)) > 0
+        return tuple(targets[i] for i in np.flatnonzero(self.problem.structure.is_unmeasured_target & measured))
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
@@ -271,12 +270,12 @@ class Adjustment(Result):
     def flagged_readings(
         self, level: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
-        """Readings whose residuals are too large for chance, over the whole recording, the most significant first.
+        """Readings whose residuals are too large for chance, in a test over the whole recording.
 
-        They are tested one after another, so that the effect of an outlier on other residuals does not count against
-        these; readings that no test distinguishes from an outlier are listed with it. The test uses the declared noise
-        (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are `noisy_targets`, each with enough
-        readings has a separate sigma0.
+        The most significant is first. They are tested one after another, so that the effect of an outlier on other
+        residuals does not count against these; readings that no test distinguishes from an outlier are listed with it.
+        The test uses the declared noise (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are
+        `noisy_targets`, each with enough readings has a separate sigma0.
         """
         use, target, count = self.problem.used_readings, self.recording.target, int(self.problem.used_readings.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
@@ -387,7 +386,7 @@ class Adjustment(Result):
         solution = solve(problem, replace(start, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
-    def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
+    def with_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
         """Adjustment with covariances by inner constraints over some targets, default all determined ones.
 
         Its state is unchanged.

@@ -27,9 +27,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 MIN_MIRROR_MISCLOSURE_RATIO = 10.0
-"""Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
-mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
-"""
+"""Smallest ratio of the misclosure of declared coordinates to that of their mirror image at which they count as
+mirrored; both are medians. Correct coordinates have misclosures of the size of the noise, mirrored ones of the size of
+the network."""
 MAX_RELATIVE_MISCLOSURE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).
@@ -44,7 +44,7 @@ NO_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty table of axes: every declared coordinate is used."""
 
 
-def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
+def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
     """Recording with its datum at declared coordinates [m] of targets; `adjust` removes those that do not fit.
 
     Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
@@ -104,7 +104,7 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
+def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
     """Recording in axes defined by three targets: the origin, one on the x axis, one in the plane of x and y.
 
     Raises
@@ -134,7 +134,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates of a list as known ones, each with its standard deviation.
+    """Recording with the coordinates of a list as control points, each with its standard deviation.
 
     The list is read by `read_points` and needs standard deviations; a missing coordinate is not known.
 
@@ -197,7 +197,7 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
     why = "they are left-handed" if is_mirrored else "check the hall and the names"
-    message = f"its coordinates do not fit the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
+    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
     raise RecordError(message, file=source)
 
 
@@ -207,7 +207,7 @@ def _with_datum(
     axes_by_target: Mapping[str, Axes] = NO_AXES,
     source: str | None = None,
 ) -> Recording:
-    """Recording with its datum at these places, each along the axes `axes_by_target` (default all)."""
+    """Recording with its datum at the positions of some targets, each along the axes `axes_by_target` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in declared_places.items():
         x, y, z = (place / MILLIMETRE).tolist()

@@ -29,7 +29,7 @@ MAX_CORRECTED_DISTANCE = 1e-3
 """Largest distance [m] of a corrected pointing from its target."""
 MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
 """Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
-MAX_LISTED_ROWS = 6
+MAX_ROWS_IN_BLUNDER_TEXT = 6
 """Largest number of rows that a sentence lists."""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
@@ -68,7 +68,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]
 
 
 def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
-    """Blunders that explain pointings rejected by an adjustment: after correction they agree with their targets."""
+    """Blunders that explain pointings rejected by an adjustment: once corrected, they agree with their targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -78,7 +78,7 @@ def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
 
 
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) of targets in the network frame from readings (k, 3) in place of those of some rows (k,)."""
+    """Points (k, 3) of targets in the network frame, from readings (k, 3) that replace those of the rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
@@ -96,7 +96,7 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
     recording, points = adjustment.recording, adjustment.state.target_points
-    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
     if not len(at):
         return
     gaps = np.linalg.norm(_points_from_readings(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
@@ -117,7 +117,7 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
+            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
@@ -128,7 +128,7 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
 def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
-    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
     if not len(at):
         return
     off = (
@@ -155,7 +155,7 @@ def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlu
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
-        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_LISTED_ROWS])
+        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
@@ -191,9 +191,9 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     Returns
     -------
     recording : Recording
-        With converted readings.
+        Recording with converted readings.
     findings : list of GrossFinding
-        One per station; empty if all shapes agree or no blunder explains the difference.
+        Corrected stations, one entry each; empty if all shapes agree or no blunder explains the difference.
     """
     findings: list[IdentifiedBlunder] = []
     odd = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
@@ -201,7 +201,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         return recording, _mirrored_pair(recording) if len(odd) else findings
     for s in odd.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
-        for effect in WrongUnit.at_station(name):
+        for effect in WrongUnit.blunders_at_station(name):
             readings = recording.readings.copy()
             readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
@@ -236,7 +236,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     -------
     recording : Recording
     findings : list of GrossFinding
-        One per station.
+        Corrected stations, one entry each.
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
     wrong = recording.usable[:, 2] & (shown != recording.face)

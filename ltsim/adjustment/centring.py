@@ -22,7 +22,7 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 """Column of a recording with the day of each pointing."""
-DAY_LENGTH = 86_400.0
+DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
 MAX_CENTRING_ERRORS = 6
 """Largest number of estimated centring errors: a network with more has to be measured again."""
@@ -104,9 +104,9 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
-    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH:
+    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
         return ()
-    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH)
+    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
 def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:
@@ -145,7 +145,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
     ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
-    moves = model.linearised(adjustment.state).target_derivatives[:, :, :axes]
+    moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
     chosen: list[int] = []
     while len(chosen) < min(MAX_CENTRING_ERRORS, len(candidates)):
@@ -157,7 +157,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < ordinary:
             break
-        space, chi2, dof = space.augmented(shifts[best]), chi2 - drop, dof - rank
+        space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
     if not chosen:
         return None
@@ -175,7 +175,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
     if moved is None:
         return recording, []
     by_target, readings, findings = (
-        adjustment.problem.model.linearised(adjustment.state).target_derivatives,
+        adjustment.problem.model.linearise(adjustment.state).target_derivatives,
         recording.readings,
         [],
     )

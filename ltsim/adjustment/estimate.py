@@ -25,7 +25,7 @@ from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, 
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
-from ltsim.core.limits import ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.rigid import rigid_motion_design
@@ -75,8 +75,9 @@ def adjust(
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
-    start : State, optional
-        Where to start; default from the recording alone. With a start no pointing is screened out.
+    start : NetworkState, optional
+        State from which the adjustment starts; default from the recording alone. With a start no pointing is screened
+        out.
     datum : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up chose.
     robust : bool
@@ -87,27 +88,27 @@ def adjust(
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
         readings hardly determine from wandering off.
     prior : ParameterPrior, optional
-        What is known of the instrument parameters; default what the set-up states.
+        Prior of the instrument parameters; default that of the set-up.
     tested_kinds : collection of str
         Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
 
     Returns
     -------
     Adjustment
-        In the frame of the first station unless control points, levels or a datum define another. Targets that the
-        readings in use do not determine are left out (`undetermined_targets`). Its solution
-        carries a status; an adjustment that did not converge is returned, not raised.
+        Adjustment in the frame of the first station, unless control points, levels or a datum define another one.
+        Targets that the readings in use do not determine are omitted (`undetermined_targets`). Its solution carries a
+        status; an adjustment that did not converge is returned, not raised.
 
     Raises
     ------
     NetworkError
         When the readings do not tie a station to the rest, a station measures the target that it stands on, SMRs
         of several radii stand off along normals in whose frame nothing holds the network, or the pointings
-        are more than `ADJUSTED_POINTINGS`.
+        are more than `MAX_ADJUSTED_POINTINGS`.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
-    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     built, copied = construction or ideal_construction(), is_copied_row(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
@@ -161,7 +162,7 @@ def _require_unoccupied_targets(recording: Recording) -> None:
     marks = StationMarks.from_recording(recording)
     height = np.linalg.norm(marks.instrument_offsets, axis=1)
     is_mark_of_station = marks.target_indices[recording.station] == recording.target
-    rows = np.flatnonzero(is_mark_of_station & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
+    rows = np.flatnonzero(is_mark_of_station & recording.is_measured.any(axis=1) & (height[recording.station] == 0.0))
     if len(rows):
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
         raise NetworkError(
@@ -196,7 +197,7 @@ def _solve(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
-    """Adjustment with state and covariances in the datum of selected targets, or of those in the set-up.
+    """Adjustment with state and covariances in the datum of selected targets, by default those of the set-up.
 
     Of the targets in the set-up only the determined ones are used; if they only define axes, they are tested first.
     """
@@ -226,7 +227,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
 
 MIN_GROSS_MISCLOSURE = 2e-3
 """Misclosure [m] in the axes of most points above which a point starts outside the datum."""
-MIN_GROSS_MISCLOSURE_RATIO = 10.0
+MIN_DATUM_EXCLUSION_RATIO = 10.0
 """Ratio of a misclosure to the median above which a point starts outside the datum."""
 EXCLUSION_LEVEL = 0.02
 """Significance level: probability that any point of an error-free set is excluded."""
@@ -245,7 +246,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
     here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
     off = alignment_distances(here, declared, align_robustly(here, declared))
-    use = off <= max(MIN_GROSS_MISCLOSURE_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
+    use = off <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
         tests = _axes_tests(adjustment, names, declared, use)
@@ -268,16 +269,16 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
 
 
 def _axes_tests(
-    adjustment: Adjustment, names: Sequence[str], declared: Floats, used_mask: Bools
+    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools
 ) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
-    adjusted = adjustment.in_inner_datum(chosen)
+    adjusted = adjustment.with_inner_datum(chosen)
     at = [adjusted.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
     turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
     covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared - state.target_points[at], state.target_points[at]
+    gap, places = declared_points - state.target_points[at], state.target_points[at]
     centre = places[used_mask].mean(axis=0)
     free = motions_about_centre(adjusted.problem.free_motions, centre)
     motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])

@@ -30,7 +30,7 @@ MIN_SUM_OF_SQUARES_RATIO = 4.0
 MAX_RMS_MISFIT = 300.0
 """Largest rms misfit of approximate coordinates, in standard deviations; worse ones are not used."""
 N_ITERATED_STARTS = 150
-"""Number of starts that are iterated: those with the best fit."""
+"""Number of starts with the best fit that are iterated."""
 MAX_STARTS = 400
 """Largest number of starts (cost)."""
 EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4

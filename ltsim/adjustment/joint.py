@@ -9,7 +9,8 @@ from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
 COVARIANCE_FILE = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
 MAX_TARGETS_IN_FILE = 400
-"""Largest number of targets with a joint covariance in a file, whose size grows with their square (20 MB here)."""
+"""Largest number of targets with a joint covariance in a file. The file grows with the square of the number and has 20
+MB at this limit."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:

@@ -41,7 +41,9 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up from its mark, known as a target or by another set-up on it; NaN otherwise.
+        """Position (3,) [m] of a set-up from its mark, whose position is known as a target or from another set-up.
+
+        Else NaN.
 
         `position` (S, 3) and `points` (T, 3) [m] are NaN for undetermined places.
         """

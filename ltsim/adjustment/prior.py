@@ -38,7 +38,7 @@ class ParameterPrior:
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
-    def widened(self, freed_mask: Bools) -> ParameterPrior:
+    def with_free_parameters(self, freed_mask: Bools) -> ParameterPrior:
         """Prior with some parameters (I, p) practically free."""
         factor = np.where(freed_mask, WIDENED_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)

@@ -100,7 +100,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
-        """Problem of another model of the same pointings, with its declarations and the present weights."""
+        """Problem with another model for the same pointings; reference values and weights are unchanged."""
         changed = NetworkProblem.from_model(model, sigma=self.sigma, reading_mask=self.used_readings, prior=self.prior)
         differences = changed.difference_rows.subset(np.isin(changed.difference_rows.names, self.difference_rows.names))
         return replace(changed, extra_sigma=self.extra_sigma, difference_rows=differences)
@@ -161,13 +161,13 @@ class NetworkProblem(NetworkRows):
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
         """State after a step."""
         at = self.unknowns
-        return state.incremented(
+        return state.with_increments(
             step[at.pose_columns], step[at.target_columns], step[at.instrument_columns], step[at.extra_columns]
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
         """Whitened linear system at a state."""
-        return self.linear_system(state, self.model.linearised(state))
+        return self.linear_system(state, self.model.linearise(state))
 
     def linear_system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:
         """Whitened linear system at a state whose predicted readings are given."""
@@ -257,7 +257,7 @@ class NetworkProblem(NetworkRows):
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
-        """Whitened derivatives (r, width) of the readings in use, of some pointings after the others."""
+        """Whitened derivatives (r, width) of the readings in use, computed for a batch of pointings at a time."""
         by = [
             prediction.pose_derivatives,
             prediction.target_derivatives,

@@ -45,9 +45,8 @@ TRIED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
 )
-"""Errors of unit or convention of a whole file that are tried; those that shrink lengths are excluded, because any
-network then seems to fit.
-"""
+"""Errors of unit or convention that are tested for a whole file. Errors that shrink lengths are excluded, because any
+network then seems to fit."""
 
 
 def require_usable(adjustment: Adjustment) -> None:
@@ -69,7 +68,7 @@ def require_usable(adjustment: Adjustment) -> None:
 
 
 def _require_consistent_units(adjustment: Adjustment) -> None:
-    """Check that no set-up is in another unit or sense than the others; raises NetworkError."""
+    """Check that all set-ups have the same units and sense of rotation; raises NetworkError."""
     thin = next(_sparse_station_sentences(adjustment), "")
     if thin or not adjustment.solution.has_converged or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
@@ -132,7 +131,10 @@ def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
 
 def _is_unused(adjustment: Adjustment) -> Bools:
     """Flags (m,) of the measured pointings without a used reading."""
-    measured, used = np.asarray(adjustment.recording.measured.any(axis=1)), adjustment.problem.used_readings.any(axis=1)
+    measured, used = (
+        np.asarray(adjustment.recording.is_measured.any(axis=1)),
+        adjustment.problem.used_readings.any(axis=1),
+    )
     return ~np.asarray(used)[measured]
 
 
@@ -231,7 +233,7 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on targets that two stations measure, one or both of which were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
-    for table, readings in ((measured_pairs, recording.measured), (used_pairs, adjustment.problem.used_readings)):
+    for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     two = measured_pairs.sum(axis=0) == 2
@@ -279,7 +281,7 @@ def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on stations that lost most of their pointings."""
-    recording, measured = adjustment.recording, adjustment.recording.measured.any(axis=1)
+    recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
     used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)

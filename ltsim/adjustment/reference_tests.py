@@ -25,8 +25,8 @@ from ltsim.adjustment.reliability import (
     neg_log_p_chi2,
     noise_scale,
     noncentrality,
-    normalised,
     redundancy_numbers,
+    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import snoop_readings
@@ -61,9 +61,8 @@ MAX_NORMALISED_ERROR = 5.0
 MIN_TESTED_REDUNDANCY = 1e-3
 """Redundancy below which the other observations do not test a component of a reference value."""
 MIN_RELATIVE_SIGNATURE = 1e-9
-"""Signature of a component, relative to the largest of its reference value, below which the readings do not depend on
-it.
-"""
+"""Signature of a component, relative to the largest signature of its reference value, below which the readings do not
+depend on the component."""
 MIN_RESIDUAL = 0.2
 """Whitened residual below which a reference value is not tested, because an error of 5 sigmas has a larger one."""
 MIN_RELATIVE_SIGMA = 0.3
@@ -113,7 +112,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def is_height(self) -> bool:
-        """True if its error is one of the height alone."""
+        """True if the error is an error of the height alone."""
         *plan, height = np.abs(self.error).tolist()
         small = [max(MAX_NORMALISED_ERROR * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
         is_significant = height > MAX_NORMALISED_ERROR * self.sigma_error[-1]
@@ -312,7 +311,7 @@ def _with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """First of the wrong reference values with those that contradict it, if too few exist to identify the wrong one."""
+    """First of the wrong reference values and those that contradict it, if the wrong one is not identified."""
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
@@ -356,18 +355,18 @@ def _largest_error(
         return None
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
-    w = normalised(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
     shown = noise_scale(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
-    def unlikely(drop: float, rank: int, looks: int) -> float:
+    def neg_log_corrected_p(drop: float, rank: int, looks: int) -> float:
         return float(neg_log_p_chi2(drop, rank)) - float(np.log(looks))
 
     count = len(list(reference_values(problem, solution.x)))
-    chances = [unlikely(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
+    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
@@ -375,7 +374,7 @@ def _largest_error(
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
-    if unlikely(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+    if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
         likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(MIN_LIKELIHOOD_RATIO)]
         if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.

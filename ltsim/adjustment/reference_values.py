@@ -1,4 +1,4 @@
-"""Reference values of a set-up in the rows of its adjustment: declared value, misclosure, effect of its error."""
+"""Reference values as rows of the adjustment: declared value, misclosure, and effect of an error of the value."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -101,7 +101,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
 
 
 def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Common scale of all reference lengths, if there are several: error of their temperature or reference standard."""
+    """Common scale of all reference lengths, if there are several: error of their temperature or standard."""
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
         shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
@@ -111,7 +111,7 @@ def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[Refer
 
 
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Set-ups over marks that are also measured otherwise: the declaration that they are exactly on the mark."""
+    """Declarations that set-ups are exactly over their marks, for marks that are also measured as targets."""
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target_indices >= 0) | (
         np.bincount(marks.first_setup_on_mark, minlength=len(marks.first_setup_on_mark))[marks.first_setup_on_mark] > 1
@@ -119,7 +119,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
     if not shared.any():
         return
     number = np.cumsum(problem.used_readings).reshape(problem.used_readings.shape) - 1
-    by_place = problem.model.linearised(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
+    by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
         readings = problem.used_readings & (recording.station == s)[:, None]
         if readings.any():
@@ -139,7 +139,7 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
         )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif test.kind == "difference":
-        change = {"differences": tuple(difference for difference in setup.differences if difference.called != name)}
+        change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
     elif test.kind in REMOVED_SETTINGS:
         cleared = REMOVED_SETTINGS[test.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}

@@ -22,7 +22,8 @@ MAX_LINEAR_CHANGE = 1e-5
 MAX_HALVINGS = 4
 """Largest number of halvings of a step that increases chi-square, for constants with a poor start."""
 MAX_CHI2_INCREASE = 1e-3
-"""Increase of chi-square that counts as zero: that of a constant 0.03 standard deviations from its optimum."""
+"""Increase of chi-square that counts as zero: the increase for a constant at 0.03 standard deviations from its optimum.
+"""
 MIN_SHAPE_CHANGE = 1e-3
 """Smallest change of a reading, relative to the effect, by a tenth of a shape constant at which the constant is
 estimated.

@@ -33,7 +33,7 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
     return share
 
 
-def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
+def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
     checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     w = np.where(problem.used_readings, 0.0, np.nan)
@@ -51,7 +51,7 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
 
 def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
-    """Targets whose readings scatter far more than all others, and the scatter of both groups in sigmas.
+    """Targets whose readings scatter far more than all others, and both scatters in sigmas.
 
     `normalised_residuals` and `redundancy` (n, 3), `target` (n,).
     """
@@ -77,7 +77,9 @@ def critical_w(n_readings: int, level: float = FAMILY_LEVEL) -> float:
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
-    """Probability that one of `n_readings` readings has such a |w| / sigma0; infinite `dof` means the declared noise.
+    """Probability that the largest |w| / sigma0 of `n_readings` readings is at least this large.
+
+    Infinite `dof` means the declared noise.
 
     References
     ----------
@@ -131,7 +133,7 @@ def level_of_single_test(n_tests: int, level: float) -> float:
 
 @lru_cache
 def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
-    """Squared length of a whitened error after adjustment that a chi-square test detects with the probability `POWER`.
+    """Squared length of a whitened error after adjustment that a chi-square test detects with `TEST_POWER`.
 
     Parameters
     ----------

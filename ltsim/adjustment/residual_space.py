@@ -60,7 +60,7 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy of each row, (m,): derivative of its residual with respect to its error."""
+        """Redundancy of each row, (m,): derivative of its residual with respect to the error of its observation."""
         return 1.0 - self.projector.leverage()
 
     @cached_property
@@ -103,7 +103,7 @@ class ResidualSpace:
     def _projected_basis(self, signature: Floats) -> Floats:
         return orthonormal_columns(self.project(signature), np.linalg.norm(signature, axis=0))
 
-    def augmented(self, signature: Floats) -> ResidualSpace:
+    def with_signatures(self, signature: Floats) -> ResidualSpace:
         """Residual space with signatures (m, q) in the model."""
         visible = self._projected_basis(signature)
         residual = self.residuals - visible @ (visible.T @ self.residuals)
@@ -111,7 +111,7 @@ class ResidualSpace:
 
     def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
         """Residual space with some laws in the model."""
-        return self.augmented(np.hstack([self.whitened_signature(law) for law in laws])) if laws else self
+        return self.with_signatures(np.hstack([self.whitened_signature(law) for law in laws])) if laws else self
 
     def target_shifts(self, signature: Floats) -> Floats:
         """Shift (T, 3) [m] of the adjusted targets by a change (m,) of the whitened readings."""

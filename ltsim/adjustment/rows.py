@@ -126,7 +126,7 @@ class ControlRows:
         return int(self.declared_components.sum())
 
     def with_min_sigma(self, min_sigma: float) -> ControlRows:
-        """The same rows with smaller standard deviations raised to `min_sigma` [m]."""
+        """Copy of the rows, with standard deviations below `min_sigma` [m] raised to it."""
         roots = self.whitening_matrices.copy()
         for i, axes in enumerate(self.declared_components):
             at = np.ix_(axes, axes)
@@ -199,7 +199,7 @@ class DifferenceRows(ControlRows):
                 elif place >= count:
                     points[k] += sign * marks.instrument_offsets[place - count]
         return cls(
-            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.called for difference in differences)
+            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.label for difference in differences)
         )
 
     @property
@@ -281,7 +281,7 @@ class LevelRows:
         return len(self.station_indices)
 
     def with_min_sigma(self, min_sigma: float) -> LevelRows:
-        """The same rows with smaller standard deviations raised to `min_sigma` [rad]."""
+        """Copy of the rows, with standard deviations below `min_sigma` [rad] raised to it."""
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def axis_tilts(self, rotation: Floats) -> Floats:
@@ -296,7 +296,7 @@ class LevelRows:
 
 @dataclass(frozen=True)
 class YawRows:
-    """Rows of levelled stations with known azimuth zero, such as by a gyroscope: one rotation each about the z axis."""
+    """Rows of levelled stations with a known azimuth zero, such as by a gyroscope: one rotation per station."""
 
     station_indices: Ints
     """Index of each oriented station, (y,)."""
@@ -318,7 +318,7 @@ class YawRows:
         return len(self.station_indices)
 
     def with_min_sigma(self, min_sigma: float) -> YawRows:
-        """The same rows with smaller standard deviations raised to `min_sigma` [rad]."""
+        """Copy of the rows, with standard deviations below `min_sigma` [rad] raised to it."""
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def yaw_residuals(self, rotation: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import critical_w, noise_scale, normalised, redundancy_numbers
+from ltsim.adjustment.reliability import critical_w, noise_scale, redundancy_numbers, standardised_residuals
 from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import iterate_reweighted
@@ -25,7 +25,8 @@ from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of rows without a clock that must repeat others (all that can) before they count as copies."""
+"""Smallest number of repeated rows, in a recording without a clock, from which they count as copies; all pointings that
+can be repeated must be."""
 MAX_TRACKER_ERROR = 1e-3
 """Error [m] beyond any plausible tracker error within `MAX_WORKSHOP_RANGE`."""
 MAX_WORKSHOP_RANGE = 10.0
@@ -47,9 +48,8 @@ borderline.
 MAX_INTERMEDIATE_STEPS = 10
 """Largest number of iterations of an intermediate solution; the last one converges."""
 MAX_PREDICTION_SIGMA = 100.0
-"""Standard deviation of a prediction, in sigmas of a rejected reading, above which the target
-counts as undetermined.
-"""
+"""Standard deviation of the prediction of a rejected reading, in sigmas of the reading, above which its target counts
+as undetermined."""
 
 
 def is_copied_row(recording: Recording) -> Bools:
@@ -65,7 +65,7 @@ def is_copied_row(recording: Recording) -> Bools:
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
     whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
     repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
-    copied = _equals_earlier_row(whole) & recording.measured.any(axis=1)
+    copied = _equals_earlier_row(whole) & recording.is_measured.any(axis=1)
     if recording.has_clock:
         return copied
     return copied & (copied.sum() >= max(MIN_COPIED_ROWS, int(repeated.sum())))
@@ -117,7 +117,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
         return doubtful
     weighted = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
     rows = np.where(
-        problem.used_readings[:, :, None], problem.model.linearised(state).target_derivatives * weighted, 0.0
+        problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weighted, 0.0
     )
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
@@ -189,7 +189,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     excess = _relative_misclosure(model, state)
     for _ in range(MAX_LINEAR_STEPS if np.any(excess > 1.0) else 0):
         problem = drop_undetermined(NetworkProblem.from_model(model), state)
-        state, length = _relaxed_step(problem, state, model.linearised(state), np.maximum(excess, 1.0)[:, None])
+        state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
         if not length or not np.any((excess > 1.0) & (excess < MAX_MISCLOSURE_RATIO * before)):
             break
@@ -217,7 +217,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
 def _relaxed_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
-    """State after a step with standard deviations multiplied by `sigma_factors`, and its squared length.
+    """State after one step with standard deviations multiplied by `sigma_factors`, and the squared step length.
 
     It is 0 for a singular system.
     """
@@ -287,7 +287,7 @@ def snoop_readings(
 
 def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
     """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
-    prediction = problem.model.linearised(state)
+    prediction = problem.model.linearise(state)
     readings, system = prediction.readings, problem.linear_system(state, prediction)
     del prediction
     w, scale, _ = _test_readings(problem, problem, readings, BlockFactor(system))
@@ -322,7 +322,7 @@ def prediction_sigmas(
     The `prediction` is that of the solution's state, computed here by default.
     """
     assert solution.factor is not None
-    system = problem.linear_system(solution.x, prediction or problem.model.linearised(solution.x))
+    system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
     rows = to_dense(system.design[np.flatnonzero(omitted[problem.used_readings])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
@@ -336,7 +336,7 @@ def _test_readings(
     `factor` belongs to the state that predicts the `readings` (n, 3).
     """
     redundancy = redundancy_numbers(reduced, factor)
-    w = normalised(reduced, problem.reading_residuals(readings), redundancy)
+    w = standardised_residuals(reduced, problem.reading_residuals(readings), redundancy)
     return np.nan_to_num(np.abs(w)), noise_scale(w, redundancy), redundancy
 
 
@@ -347,7 +347,7 @@ def _test_rejected_again(
     assert solution.factor is not None
     out = rejected & problem.used_readings
     targets, stations = problem.model.recording.target, problem.model.recording.station
-    prediction = problem.model.linearised(solution.x) if out.any() else None
+    prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
     w, scale, redundancy = _test_readings(problem, reduced, readings, solution.factor)
     new: Bools = (w > limit * scale) & (redundancy > MIN_NUMERICAL_REDUNDANCY)

@@ -39,7 +39,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
-    if not recording.measured[:, :2].any():
+    if not recording.is_measured[:, :2].any():
         message = "the recording contains only elevations: horizontal positions and ranges are undetermined; "
         raise NetworkError(message + "measure azimuths or distances too")
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
@@ -69,7 +69,7 @@ class NetworkInitialiser:
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = pairs.of_rows(recording, self._readings.reflector_offsets)
+        self._pair_offsets = pairs.values_by_pair(recording, self._readings.reflector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
@@ -108,7 +108,7 @@ class NetworkInitialiser:
     # --- what is known ---------------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
-        """Targets (T, 3) so far: median of their positions from stations, or located positions."""
+        """Present approximate targets (T, 3): median of their positions from the stations, or located positions."""
         places = self._located_targets.copy()
         whole = np.flatnonzero(self._is_covered)
         places[whole] = self._pairs.medians_by_target(self._pair_points, whole)
@@ -131,7 +131,7 @@ class NetworkInitialiser:
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
-        pairs = self._pairs.of_station(station)
+        pairs = self._pairs.slice_of_station(station)
         self._pair_points[pairs] = self._pairs.local_points[pairs] @ rotation.T + position - self._pair_offsets[pairs]
         self._is_covered[self._pairs.target_indices[pairs]] = True
         mark = self._frame.marks.target_indices[station]
@@ -148,7 +148,7 @@ class NetworkInitialiser:
                 return False
             if shared[station] < 3 and not level:
                 continue
-            pairs = np.arange(len(self._pairs))[self._pairs.of_station(station)]
+            pairs = np.arange(len(self._pairs))[self._pairs.slice_of_station(station)]
             pairs = pairs[have[self._pairs.target_indices[pairs]]]
             goal = self._targets_with_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
             fit = align_robustly if shared[station] >= 3 else upright_alignment
@@ -187,7 +187,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True if a station (or a target, -1 minus its index) has not failed before with as many neighbours."""
+        """True unless a station (or a target, given as -1 minus its index) already failed with as many neighbours."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
@@ -295,7 +295,7 @@ class NetworkInitialiser:
             self._transform(*motion)
 
     def _level_stations(self) -> None:
-        """Rotations of stations without angles: upright, along the axes of the others or of the floor plan."""
+        """Rotations of stations without angles: upright, along the axes of the other stations or of the floor plan."""
         measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, measured, len(self._is_joined)) > 0
         if reads_angles.any():
@@ -390,7 +390,7 @@ class NetworkInitialiser:
         """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
-        targets = self._pairs.target_indices[self._pairs.of_station(nearest)]
+        targets = self._pairs.target_indices[self._pairs.slice_of_station(nearest)]
         shared = points[targets[self._has_coordinates[targets]]]
         require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines)
         require_located_target(self._recording, self._has_coordinates)

@@ -25,9 +25,10 @@ CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
 is 95 %."""
 MAX_FAR_FRACTION = 0.02
-"""Fraction of readings with residuals above `FAR` declared standard deviations above which they are many."""
+"""Largest fraction of readings with residuals above `MIN_FAR_RESIDUAL` declared standard deviations that single errors
+explain."""
 MAX_ROBUST_STEPS = 25
-"""Reweightings at most, each with a linear step."""
+"""Largest number of reweightings, each with a linear step."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the iteration has converged."""
 
@@ -135,6 +136,8 @@ VARIANCE_FACTOR_TOLERANCE = 2e-3
 readings."""
 MAX_VARIANCE_ESTIMATES = 30
 """Estimates of the variance factors at most, for given outliers."""
+MAX_CONVERGENCE_RATIO = 0.9
+"""Largest ratio of two steps of the estimation that is extrapolated: to ten times the last step."""
 MAX_OUTLIER_ESTIMATES = 6
 """Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 MIN_GROUP_REDUNDANCY = 3.0
@@ -164,7 +167,7 @@ def estimate_variance_components(
     reject_outliers: Callable[[NetworkProblem, NetworkState], tuple[NetworkProblem, Solution[NetworkState]]],
     reading_mask: Bools | None = None,
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
-    """Problem with standard deviations scaled by group until each agrees with its residuals; its solution.
+    """Problem with standard deviations scaled by group to agree with the residuals, and its solution.
 
     `reject_outliers` solves a problem and may reject readings; it gets all readings of `reading_mask` (n, 3) again with
     the new noise, until the rejected ones do not change.
@@ -181,17 +184,20 @@ def estimate_variance_components(
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
     for _ in range(MAX_OUTLIER_ESTIMATES):
+        before_last = np.zeros(len(factor))
         for _ in range(MAX_VARIANCE_ESTIMATES):
             if solution.factor is None:
                 return problem, solution, ()
             square, redundancy = _sums_by_group(problem, solution, group, len(factor))
             enough = redundancy > MIN_GROUP_REDUNDANCY
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
-            factor = factor * np.maximum(change, 0.1)
+            log_change = np.log(np.maximum(change, 0.1))
+            factor = factor * np.exp(_extrapolated_limit(log_change, before_last))
             problem = _scale_sigmas(declared, factor, group, problem.used_readings)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
+            before_last = np.where(before_last, 0.0, log_change)
         before = problem.used_readings
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
         if np.array_equal(problem.used_readings, before):
@@ -205,12 +211,19 @@ def estimate_variance_components(
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _scale_sigmas(declared: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
+def _extrapolated_limit(step: Floats, previous: Floats) -> Floats:
+    """Limit of a sequence with linear convergence beyond its last step, from that and the `previous` one (0: none).
+
+    Steps shrink by a constant ratio: Aitken's delta-squared process.
+    """
+    ratio = np.divide(step, previous, out=np.zeros_like(step), where=previous != 0.0)
+    return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
+
+
+def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
     """Problem with other standard deviations: a factor for each group, the last for the levels."""
-    levels = replace(declared.level_rows, sigma=declared.level_rows.sigma * factor[-1])
-    return replace(
-        declared, sigma=declared.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask
-    )
+    levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
+    return replace(problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask)
 
 
 def _sums_by_group(

@@ -27,9 +27,8 @@ class UnknownColumns:
     pose_columns: Ints
     """Columns of translation and rotation of each station, (S, 6)."""
     target_columns: Ints
-    """Columns of each target, (T, 3): targets of reference lengths and differences and those under a set-up are reduced
-    unknowns, all others are eliminated block by block.
-    """
+    """Columns of each target, (T, 3). Targets of reference lengths and differences, and targets under a set-up, are
+    reduced unknowns; all others are eliminated block by block."""
     instrument_columns: Ints
     """Columns of the instrument parameters, (I, p)."""
     extra_columns: Ints
@@ -328,7 +327,7 @@ def raise_for_singular_network(
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
     """Sentence on the station and target of a network with the fewest readings."""
-    count = recording.measured.sum(axis=1)
+    count = recording.is_measured.sum(axis=1)
     stations = np.bincount(recording.station, count, len(recording.stations))
     targets = np.bincount(recording.target, count, len(recording.targets))
     weakest = (

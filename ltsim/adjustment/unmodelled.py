@@ -82,7 +82,7 @@ def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty
 
 
 def _turbulence_shifts(adjustment: Adjustment, air: AirUncertainty) -> Floats:
-    """Standard deviation (r,) of the readings in use by turbulence, in standard deviations of these readings."""
+    """Standard deviation (r,) of the readings in use due to turbulence, in units of the declared one."""
     rows, columns = np.nonzero(adjustment.problem.used_readings)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
     return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])

@@ -14,7 +14,7 @@ from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 MAX_SINGLE_ERROR_FRACTION = 0.05
-"""Largest fraction of readings that are outliers at which they count as single errors and not as wrong noise."""
+"""Largest fraction of outliers among the readings at which they count as single errors; above it the noise is wrong."""
 
 
 NOISE_KEYS = {

@@ -111,17 +111,17 @@ def arrays_from_file_rows(
     at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
     factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
 
-    def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
+    def with_file_values(default: Floats, cells: Sequence[float | None]) -> Floats:
         """The default [SI], replaced by the values of the file."""
         merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
         merged[at] = np.where(np.isnan(given), default[at], given)
         return merged
 
     nominal = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    values = filled(np.zeros(len(place)), [row.value for row in rows])
-    prior = filled(nominal, [row.prior_sigma for row in rows])
-    applied = filled(values, [row.applied for row in rows])
-    merged = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
+    values = with_file_values(np.zeros(len(place)), [row.value for row in rows])
+    prior = with_file_values(nominal, [row.prior_sigma for row in rows])
+    applied = with_file_values(values, [row.applied for row in rows])
+    merged = np.diag(with_file_values(prior, [row.sigma for row in rows]) ** 2)
     if len(covariance):
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
@@ -147,7 +147,10 @@ def _flat_parameter_indices(
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the file's parameters among those of the instruments; names and units are checked."""
+    """Indices of the file's parameters in the flattened array of the parameters of all instruments.
+
+    Checks names and units.
+    """
     at: list[int] = []
     for number, row in enumerate(rows, start=1):
         if (row.instrument, row.name) not in location:
@@ -171,7 +174,7 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
     placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS_TABLE.filled([names[i], *cells[i].tolist()] for i in placed)
+    return TARGETS_TABLE.with_rows([names[i], *cells[i].tolist()] for i in placed)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
@@ -189,4 +192,4 @@ def residuals_table(adjustment: Adjustment) -> Table:
         )
         return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-    return RESIDUALS_TABLE.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())
+    return RESIDUALS_TABLE.with_rows(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())

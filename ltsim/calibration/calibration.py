@@ -21,7 +21,7 @@ from ltsim.calibration.schema import (
     OUTLIERS_TABLE,
     PARAMETERS_TABLE,
     REFERENCE_VALUES_TABLE,
-    REFLECTORS_TABLE,
+    REFLECTOR_INCIDENCE_TABLE,
     STATIONS_TABLE,
     AxesEntry,
     FitEntry,
@@ -49,8 +49,8 @@ from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryType = TypeVar("EntryType", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_RATIO_DETERMINED = 0.975
-"""Ratio of sigma to prior sigma below which the readings determine a parameter: they then removed at least 5 % of the
-prior variance (0.975 squared is 0.95)."""
+"""Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
+variance (0.975 squared is 0.95)."""
 MIN_RELATIVE_DIFFERENCE_APPLIED = 1e-9
 """Smallest relative difference between `applied_values` and the estimate (or its sigma) that is written: above
 rounding."""
@@ -63,7 +63,7 @@ FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that are not copied to another calibration: derived from its arrays, or set when it is written."""
+"""Fields that a copy of a calibration does not have: derived from its arrays, or set when it is written."""
 
 
 def _none_if_empty(value: Any) -> Any:
@@ -292,13 +292,13 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
-            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
+            "parameters": lambda: PARAMETERS_TABLE.with_rows(self.parameters),
             "targets": lambda: targets_table(self.target_names, self.target_points, self.target_covariance),
             "stations": self._stations_table,
-            "outliers": lambda: OUTLIERS_TABLE.filled(self.outliers),
-            "noise": lambda: NOISE_TABLE.filled(self.noise),
-            "reference_values": lambda: REFERENCE_VALUES_TABLE.filled(self.reference_values),
-            "reflectors": lambda: REFLECTORS_TABLE.filled(
+            "outliers": lambda: OUTLIERS_TABLE.with_rows(self.outliers),
+            "noise": lambda: NOISE_TABLE.with_rows(self.noise),
+            "reference_values": lambda: REFERENCE_VALUES_TABLE.with_rows(self.reference_values),
+            "reflectors": lambda: REFLECTOR_INCIDENCE_TABLE.with_rows(
                 [entry.reflector, p.name, p.value, p.sigma] for entry in self.reflectors for p in entry.parameters
             ),
         }
@@ -312,7 +312,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     def _stations_table(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
         rows = zip(self.stations, sigma, strict=True)
-        return STATIONS_TABLE.filled([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
+        return STATIONS_TABLE.with_rows([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:

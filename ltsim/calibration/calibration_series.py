@@ -89,7 +89,7 @@ class ParameterPopulation(ValueEquality):
     covariance: Floats
     """Covariance of the mean, (p, p) [SI]."""
     spread: Floats
-    """Standard deviation of the parameters between calibrations, without that of their estimates, (p,) [SI]."""
+    """Standard deviation of the parameters between calibrations, (p,) [SI], without the estimation errors."""
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,7 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
     """
     held = np.any([c.is_fixed[0] for c in calibrations], axis=0)
     if held.all():
-        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
+        raise RecordError("no parameter is estimated in all calibrations; calibrate all with the same parameters")
     return tuple(c.for_instrument(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
 
 

@@ -90,23 +90,23 @@ def incidence_correction_change(recording: Recording, calibration: Calibration) 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
     """Ideal raw readings (n, 3) of the points that the raw readings describe; NaN if not measured."""
-    raw = np.where(recording.measured, recording.readings, _replacement_readings(recording))
+    raw = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
     ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
     change = ideal - raw
     change[:, 1:] = wrap_angle(change[:, 1:])
-    return np.where(recording.measured, raw + change, np.nan)
+    return np.where(recording.is_measured, raw + change, np.nan)
 
 
 def _replacement_readings(recording: Recording) -> Floats:
     """Readings (n, 3) of an ideal tracker at the start network for incomplete rows; zeros if there are none."""
-    incomplete: Bools = np.asarray(~recording.measured.all(axis=1))
+    incomplete: Bools = np.asarray(~recording.is_measured.all(axis=1))
     if not incomplete.any():
         return np.zeros(recording.readings.shape)
     try:
         (position, rotation, points), lost = initial_network(recording)
     except NetworkError as problem:
         raise _undetermined_rows_error(incomplete, str(problem)) from None
-    untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]
+    untied: Bools = incomplete & recording.is_measured.any(axis=1) & lost[recording.target]
     if untied.any():
         name = recording.targets[recording.target[int(np.argmax(untied))]]
         raise _undetermined_rows_error(untied, f"no reading connects target {name} to it")

@@ -190,7 +190,7 @@ class ErrorPropagation:
         recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state
         at = NetworkState(state.station_positions, state.station_rotations, state.target_points, self.estimates)
-        by_value = MeasurementModel(recording, self.construction).linearised(at).instrument_derivatives
+        by_value = MeasurementModel(recording, self.construction).linearise(at).instrument_derivatives
         prior = prior_sigmas(recording, self.construction)[recording.instrument]
         wide = np.zeros((len(recording), 3, count, size))
         wide[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]

@@ -26,14 +26,14 @@ from ltsim.solve.absolute import solve_least_absolute
 
 MAX_GAUSS_NEWTON_STEPS = 30
 """Largest number of Gauss-Newton steps of the distance methods."""
-STEP_TOLERANCE = 1e-7
+DISTANCE_STEP_TOLERANCE = 1e-7
 """Largest change of an unknown, in prior sigmas, at which the iteration has converged."""
 MAX_EQUATION_9_STEPS = 60
 """Largest number of steps to the minimum of eq. 9 over all combinations."""
 EQUATION_9_TOLERANCE = 1e-9
 """Change of an unknown (in prior sigmas) or relative change of the objective at which the iteration to the minimum of
 eq. 9 has converged."""
-MIN_RELATIVE_SINGULAR_VALUE = 1e-9
+MIN_DISTANCE_SINGULAR_VALUE = 1e-9
 """Singular value, relative to the largest, below which a combination changes no compared distance (rounding)."""
 
 ObjectiveNorm = Literal["squares", "absolute"]
@@ -126,13 +126,13 @@ def solve_distances(
     _require_compared_distances(rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(rows, free)
     moved, iterations = np.inf, 0
-    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < STEP_TOLERANCE:
+    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < DISTANCE_STEP_TOLERANCE:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
         step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < STEP_TOLERANCE)
+    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < DISTANCE_STEP_TOLERANCE)
 
 
 def solve_equation_9(
@@ -175,8 +175,8 @@ def _start_values(problem: DistanceProblem, start: Floats | None, fixed_mask: Bo
     return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
-def _require_compared_distances(rows: ComparedDistances, free: Bools) -> None:
-    if not np.any(rows.unknown_derivatives[:, free]):
+def _require_compared_distances(rows: ComparedDistances, free_unknowns: Bools) -> None:
+    if not np.any(rows.unknown_derivatives[:, free_unknowns]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
@@ -207,11 +207,15 @@ def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
     return float(np.sum(rows.residuals**2) if norm == "squares" else np.sum(np.abs(rows.residuals)))
 
 
-def determined_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, tuple[ParameterCombination, ...]]:
-    """Combinations (q, k) of the `free` (q,) unknowns to be estimated, and those fixed at zero with their gains."""
-    strength, eigenvectors = np.linalg.eigh(rows.unknown_derivatives[:, free].T @ rows.unknown_derivatives[:, free])
-    vectors = np.zeros((len(free), len(eigenvectors)))
-    vectors[free] = eigenvectors
+def determined_combinations(
+    rows: ComparedDistances, free_unknowns: Bools
+) -> tuple[Floats, tuple[ParameterCombination, ...]]:
+    """Combinations (q, k) of the free unknowns (q,) that are estimated; those fixed at zero with their gains."""
+    strength, eigenvectors = np.linalg.eigh(
+        rows.unknown_derivatives[:, free_unknowns].T @ rows.unknown_derivatives[:, free_unknowns]
+    )
+    vectors = np.zeros((len(free_unknowns), len(eigenvectors)))
+    vectors[free_unknowns] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
     carried = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
     variance = np.full(len(strength), np.inf)
@@ -222,12 +226,12 @@ def determined_combinations(rows: ComparedDistances, free: Bools) -> tuple[Float
     return vectors[:, keep], tuple(sorted(undetermined, key=lambda d: d.gain))
 
 
-def _split_observable_combinations(rows: ComparedDistances, free: Bools) -> tuple[Floats, Floats]:
-    """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
-    _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free], full_matrices=False)
-    vectors = np.zeros((len(free), len(right_vectors)))
-    vectors[free] = right_vectors.T
-    nonzero = strength > MIN_RELATIVE_SINGULAR_VALUE * strength[0]
+def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools) -> tuple[Floats, Floats]:
+    """Combinations (q, k) of the free unknowns that change a compared distance, and combinations that change none."""
+    _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free_unknowns], full_matrices=False)
+    vectors = np.zeros((len(free_unknowns), len(right_vectors)))
+    vectors[free_unknowns] = right_vectors.T
+    nonzero = strength > MIN_DISTANCE_SINGULAR_VALUE * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
 
@@ -239,12 +243,16 @@ def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Fl
 
 
 def _bounded_step(
-    rows: ComparedDistances, unknowns: Floats, free: Bools, norm: ObjectiveNorm, bound_in_prior_sigmas: float | None
+    rows: ComparedDistances,
+    unknowns: Floats,
+    free_unknowns: Bools,
+    norm: ObjectiveNorm,
+    bound_in_prior_sigmas: float | None,
 ) -> Floats:
     """Step (f,) of the free unknowns to the minimum of the linearised objective."""
-    design = rows.unknown_derivatives[:, free]
+    design = rows.unknown_derivatives[:, free_unknowns]
     if bound_in_prior_sigmas is None:
-        visible = _split_observable_combinations(rows, free)[0][free]
+        visible = _split_observable_combinations(rows, free_unknowns)[0][free_unknowns]
         return visible @ _unbounded_step(design @ visible, rows.residuals, norm)
     within = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
     return within(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
@@ -285,17 +293,19 @@ def _line_search(
     return unknowns, rows, 0.0
 
 
-def estimate_covariance(rows: ComparedDistances, estimated: Floats, norm: ObjectiveNorm) -> tuple[Floats, Floats]:
+def estimate_covariance(
+    rows: ComparedDistances, estimated_combinations: Floats, norm: ObjectiveNorm
+) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
     E[sign sign] = 2/pi asin(correlation), taken to first order off the diagonal.
     """
-    design = rows.unknown_derivatives @ estimated
+    design = rows.unknown_derivatives @ estimated_combinations
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
         influence = -inverse @ np.asarray((rows.noise_derivatives.T @ design).T)
-        noise = estimated @ influence
+        noise = estimated_combinations @ influence
         return noise @ noise.T, noise
     spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
@@ -304,8 +314,8 @@ def estimate_covariance(rows: ComparedDistances, estimated: Floats, norm: Object
     carried = np.asarray((rows.noise_derivatives.T @ scaled).T) * np.sqrt(2 / np.pi)
     score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
-    covariance = estimated @ inverse @ score @ inverse.T @ estimated.T
-    return covariance, estimated @ (-inverse @ carried)
+    covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
+    return covariance, estimated_combinations @ (-inverse @ carried)
 
 
 def compare_with_minimum(

@@ -42,7 +42,8 @@ class EventEntry(Entry):
     sigma: NotNegative
     """Standard deviation of the difference."""
     usual_step_sigma: NotNegative
-    """Standard deviation of its other steps from one calibration to the next, without that of the estimates."""
+    """Standard deviation of the other steps of the parameter between successive calibrations, without estimation
+    errors."""
     unit: str
     """Unit of `difference`, `sigma` and `usual_step_sigma`."""
     p_value: Finite
@@ -111,7 +112,7 @@ def _significant_steps_of(
 def _step_p_value(
     difference: Floats, sigma: Floats, relative_durations: Floats, step: int, others: Ints
 ) -> tuple[float, float]:
-    """Two-sided p-value of a step against the spread of the others, and its usual size without estimation error."""
+    """Two-sided p-value of a step relative to the spread of the others, and the usual size of a step."""
     likelihood, chance, usual = (
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
@@ -148,6 +149,5 @@ def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floa
 
 
 MAX_RELATIVE_VARIANCE = 1e6
-"""Largest variance that is tried, relative to the sum of squared steps: the search ends there if no finite one
-suffices.
+"""Largest trial variance, relative to the sum of squared steps: the search ends there if no finite variance suffices.
 """

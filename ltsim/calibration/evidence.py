@@ -16,15 +16,15 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.signature import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
-"""Largest ratio of a combination's standard deviation to that of independent members at which it is reported: the
-recording determines it four times better than its members."""
+"""Largest ratio of the standard deviation of a combination to the one that independent members would give, at which the
+combination is reported: the recording determines it four times better than its members."""
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
-"""Ratio to the standard deviation of the whole eigenvector up to which the smaller members of a combination are
-omitted."""
+"""Largest ratio of the standard deviation of a shortened combination to that of the complete eigenvector; the smallest
+members are omitted as long as the ratio permits."""
 MIN_LEADING_WEIGHT = 0.9
 """A combination is scaled to its first member whose weight exceeds this share of the largest."""
 MIN_AMPLITUDE_FOR_PHASE = 2.0
-"""Amplitude, in its standard deviations, above which a phase is reported."""
+"""Smallest amplitude, in its standard deviations, of a harmonic whose phase is reported."""
 EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))
 """Sizes of an effect, relative to a plausible one, over which the evidence is averaged."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
@@ -42,7 +42,7 @@ class LikelihoodInformation:
     posterior_covariance: Floats
     """Covariance of the estimates, (p, p)."""
     information: Floats
-    """Inverse covariance minus that of the prior, (p, p); 0 for combinations with a gain below `UNINFORMATIVE`."""
+    """Inverse covariance minus that of the prior, (p, p); 0 for combinations below `MAX_UNINFORMATIVE_GAIN`."""
     information_vector: Floats
     """Product of `information` and the estimate from the readings alone, (p,)."""
 
@@ -143,7 +143,7 @@ def determined_combinations(
 
 
 def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
-    """Amplitude, its sigma, phase [rad] and its sigma of cosine and sine coefficients (2,) with covariance (2, 2).
+    """Amplitude, phase [rad] and their sigmas from cosine and sine coefficients (2,) with covariance (2, 2).
 
     a cos x + b sin x = A cos(x - phase), to first order in the covariance. Without a defined phase the sigma is the
     square root of half the trace, an average over directions.

@@ -77,7 +77,7 @@ def fit_with_extra_effects(
     unreported_effects: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
-    """Adjustment with the requested effects, each chosen given those before, and the entry of each.
+    """Adjustment with the requested effects, each selected given the previous ones, and the entry of each effect.
 
     `unreported_effects` effects are estimated first and are not reported.
     """

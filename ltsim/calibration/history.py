@@ -47,7 +47,7 @@ class HistoryCalibration(Entry):
     """Agreement of readings and model."""
 
 
-CHANGES_TABLE = Table(
+INSTRUMENT_CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
@@ -168,9 +168,9 @@ class History(ResultFile):
             "values": lambda: self._table_by_calibration([course.values for course in self.parameters]),
             "sigmas": lambda: self._table_by_calibration([course.sigmas for course in self.parameters]),
             "changes": self._changes_table,
-            "events": lambda: EVENTS_TABLE.filled(self.events),
+            "events": lambda: EVENTS_TABLE.with_rows(self.events),
             "parameters": self._parameters_table,
-            "fits": lambda: FITS_TABLE.filled(
+            "fits": lambda: FITS_TABLE.with_rows(
                 [c.label, c.fit.chi2, c.fit.dof, c.fit.sigma0] for c in self.calibrations
             ),
         }
@@ -183,7 +183,7 @@ class History(ResultFile):
     def _changes_table(self) -> Table:
         """Changes from each calibration to the next, and from the first to the last."""
         every = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
-        return CHANGES_TABLE.filled(
+        return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
                 c.from_,
                 c.to,
@@ -196,7 +196,7 @@ class History(ResultFile):
         )
 
     def _parameters_table(self) -> Table:
-        return COURSES_TABLE.filled(
+        return COURSES_TABLE.with_rows(
             [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constancy_test.p_value]
             for p in self.determined_parameters
         )

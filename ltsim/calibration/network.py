@@ -29,7 +29,7 @@ from ltsim.calibration.reported import uncertainty_factor, with_reported_uncerta
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
-from ltsim.core.limits import CALIBRATED_POINTINGS
+from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import name_tuple
@@ -58,16 +58,16 @@ def calibrate_network(
 
     Parameters
     ----------
-    parameter_selection : Choice, optional
+    parameter_selection : ParameterSelection, optional
         Parameters to estimate, and their prior; default all, with the prior of the set-up.
     choose_correction : bool
-        Shrink the correction (`calibration.shrinkage`), widen the prior of constants that contradict it, and identify
-        simple causes. Without it the model and the priors are the declared ones, and the estimates are linear in the
-        readings.
+        True to shrink the correction (`calibration.shrinkage`), to widen the prior of constants that contradict it, and
+        to identify simple causes. If False, the model and the priors are the declared ones, and the estimates are
+        linear in the readings.
     extra_effects : sequence of RequestedEffect
-        Effects of the catalogue, and laws, to estimate too.
+        Effects of the catalogue, and laws, that are also estimated.
     """
-    recording.require_at_most(CALIBRATED_POINTINGS, "a calibration")
+    recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
@@ -81,7 +81,14 @@ def calibrate_network(
     selection = identify_causes(recording, built, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
         adjusted = partial(
-            _adjust_with_options, recording, built, robust, grouping, datum, prior.widened(freed), selection
+            _adjust_with_options,
+            recording,
+            built,
+            robust,
+            grouping,
+            datum,
+            prior.with_free_parameters(freed),
+            selection,
         )
         try:
             adjustment, fits = fit_with_extra_effects(adjusted, modes, extra_effects)
@@ -138,16 +145,16 @@ def adjust(
     ----------
     recording : Recording, str or Path
     robust : bool
-        Exclude outlying readings, each tested again at the end.
+        True to exclude outlying readings; each is tested again at the end.
     noise_from_data : bool
-        Estimate the noise of each observable and instrument from the residuals.
+        True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
+        Targets that define the datum by inner constraints; default the selection in the set-up.
 
     Returns
     -------
     Calibration
-        Without instrument parameters.
+        Calibration without instrument parameters.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class DistanceProblem:
         """Matrix (M, n) that averages repeats to one point per set and target; set and target of each point (M, 2)."""
         count = len(self.recording.targets)
         key = self.set_numbers * count + self.recording.target
-        whole = np.flatnonzero(self.recording.measured.all(axis=1))
+        whole = np.flatnonzero(self.recording.is_measured.all(axis=1))
         keys, inverse, repeats = np.unique(key[whole], return_inverse=True, return_counts=True)
         entries = (1.0 / repeats[inverse], (inverse, whole))
         matrix = sp.csr_array(sp.coo_array(entries, shape=(len(keys), len(key))))
@@ -119,9 +119,9 @@ class DistanceProblem:
         """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""
         recording, (count, size) = self.recording, self.prior_sigma.shape
         values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
-        raw = np.where(recording.measured, readings, 1.0)
+        raw = np.where(recording.is_measured, readings, 1.0)
         which = recording.instrument
-        point, by_reading, by_value = self.construction.linearised(raw, values[which])
+        point, by_reading, by_value = self.construction.linearise(raw, values[which])
         wide = np.zeros((len(raw), 3, count * size))
         for i in range(count):
             rows = which == i

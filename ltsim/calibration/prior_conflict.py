@@ -21,9 +21,8 @@ MAX_NOISE_FREE_SIGMA0 = 0.1
 MAX_SIGMA0_FOR_WIDENING = 2.0
 """Value of sigma0 from which no prior is widened, because the readings contradict each other and not only the prior."""
 MAX_WIDENED_FRACTION = 0.25
-"""Fraction of contradicting parameters of an instrument above which no prior is widened: the prior is then wrong as a
-whole, which `shrinkage` treats by its scale.
-"""
+"""Largest fraction of contradicting parameters of an instrument at which single priors are widened; above it the scale
+of all priors is wrong, which `shrinkage` estimates."""
 CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
 """Text for the prior of an instrument that the set-up declares corrected."""
 MAX_SENTENCES = 3
@@ -60,7 +59,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     common = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
     ways = np.concatenate([np.eye(rejected.size)[free], common])[:, free]
 
-    def beyond(others: Collection[int]) -> Floats:
+    def log_odds_given(others: Collection[int]) -> Floats:
         """Log odds (h,) of each change given others, to 0.1 so that of equivalent changes the first is selected."""
         given = WIDENED_SIGMA_FACTOR * ways[list(others)]
         score, weight = score_test(
@@ -72,7 +71,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
-    chosen = [k for k, odds in forward_select(beyond, 0.0).items() if odds[k] > 0.0]
+    chosen = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
     rejected.flat[free] = ways[chosen].any(axis=0)
     return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
 
@@ -132,7 +131,7 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
 
 
 def _normalised_deviations(deviation: Floats, gain: Floats) -> Floats:
-    """Deviations (k,) from the prior, in prior sigmas, divided by their standard deviation; 0 without information."""
+    """Deviations (k,) from the prior in units of their standard deviation; 0 without information."""
     return np.where(gain > MAX_UNINFORMATIVE_GAIN, deviation / np.sqrt(np.maximum(gain, MAX_UNINFORMATIVE_GAIN)), 0.0)
 
 

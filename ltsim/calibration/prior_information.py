@@ -136,7 +136,8 @@ class ParameterSelection:
     earlier_calibrations: EarlierCalibrations | None = None
     """Result of earlier calibrations that replaces the set-up's prior."""
     has_no_prior: bool = False
-    """True for no prior: standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times those of the set-up."""
+    """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
+    those of the set-up."""
 
     def prior_of(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """Resulting prior of a recording's instruments; raises ModelError, SetupError."""

@@ -129,7 +129,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     )
 
 
-def _has_estimated_error(adjustment: Adjustment, scaled: Floats) -> Bools:
+def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bools:
     """Flags (n, 3) of the readings whose residual is an error.
 
     For an undetermined target those that contradict others.
@@ -137,7 +137,7 @@ def _has_estimated_error(adjustment: Adjustment, scaled: Floats) -> Bools:
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > MIN_CONTRADICTION_SIGMAS))
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MIN_CONTRADICTION_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment) -> Verdict:
@@ -202,7 +202,9 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
 
 
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
-    """Standard deviations of axes that declared coordinates define, from their misfit to the network.
+    """Standard deviations of the axes that declared coordinates define, from the misfit of these to the network.
+
+    None if no coordinates are declared.
 
     None for others.
     """
@@ -291,7 +293,7 @@ def _free_frame_text(adjustment: Adjustment, first: str) -> str:
         axes = "the axes and the scale" if len(adjustment.problem.structure.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
-        return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
+        return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {first}"
     return f"the frame of station {first}"
 
 
@@ -369,7 +371,7 @@ def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) 
 def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the handedness of a network of ranges alone, if it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
-    if recording.measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
+    if recording.is_measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
         return ()
     if DeclaredFrame.from_recording(recording).resolves_mirror(state.station_positions, state.target_points):
         return ()

@@ -359,7 +359,7 @@ NOISE_TABLE = Table(
     "noise estimated from the readings",
     columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical_sigma={"shown": ".3g"}),
 )
-REFLECTORS_TABLE = Table(
+REFLECTOR_INCIDENCE_TABLE = Table(
     "reflectors.csv",
     "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
     (

@@ -42,9 +42,8 @@ MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_LEVEL)
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
 """Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
 MAX_PRIOR_SCALE = 30.0
-"""Prior scale above which the misfit has another cause than the instrument parameters: no instrument exceeds its
-specification so far in all of them.
-"""
+"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more, so that a larger misfit
+has another cause."""
 MIN_RELATIVE_CORRECTION = 0.02
 """Smallest applied correction, relative to the estimate (rms effect on a point); a smaller one is not applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
@@ -126,13 +125,13 @@ class ScaledPrior:
     ----------
     information : (q, q) float
     information_vector : (q,) float
-        Information times the estimate by the readings alone.
-    least : float
-        Smallest scale that the prior may have.
+        Information times the estimate from the readings alone.
+    min_scale : float
+        Smallest permitted scale of the prior.
     is_free : bool
         True if the scale is estimated in any case: 1 is then only its unit.
-    rest : float
-        sigma0 of the readings; from `UNEXPLAINED` on no scale above 1 is accepted.
+    sigma0 : float
+        sigma0 of the readings; if it is large, no scale above 1 is accepted.
     """
 
     def __init__(
@@ -250,7 +249,7 @@ class ScaledPrior:
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
-    whole = recording.measured.all(axis=1)
+    whole = recording.is_measured.all(axis=1)
     if not whole.any():
         return 0.0
     (range_, _, elevation), (along, aside, above) = recording.readings[whole].T, sigma[whole].T
@@ -267,14 +266,14 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
-    whole = recording.measured.all(axis=1)
+    whole = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
         rows = np.flatnonzero(whole & (recording.station == number))
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument_parameters[instrument]
-        points, _, by_value = adjustment.construction.linearised(readings, values)
+        points, _, by_value = adjustment.construction.linearise(readings, values)
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error

@@ -42,7 +42,7 @@ class ReportedUncertainty(Protocol):
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
-    """Sentences on the standard deviations of a result: their factor, the air in them, and errors beyond them."""
+    """Sentences on the standard deviations of a result: factor, uncertainty of the air, errors not included."""
     sentences = []
     if result.uncertainty_factor > 1.0:
         sentences.append(

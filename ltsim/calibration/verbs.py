@@ -57,35 +57,37 @@ def calibrate(
     ----------
     recording : Recording, str or Path
     method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
-        Rigorous network adjustment; the paper's distance objective over determined combinations, least squares or
-        least absolute deviations (`l1`); or its own minimum, which fits the rest to the noise (`equation-9`).
+        Rigorous network adjustment (`network`); the paper's distance objective over determined combinations, by least
+        squares (`distance`) or least absolute deviations (`distance-l1`); or the minimum of that objective over all
+        parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
-        Misalignments of a source in the head (16), of a steering mirror (21), or the paper's Denavit-Hartenberg chain
-        (78); by default the one that the set-up declares.
+        Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
+        (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default the declared construction
+        of the set-up.
     robust, noise_from_data, datum
-        As of `adjust`; with method `network` only.
+        Options as of `adjust`, for method `network` only.
     parameters : str or sequence of str, optional
-        The only parameters to estimate: names, or a common beginning of several (`azimuth-eccentricity`);
-        ``NAME@INSTRUMENT`` is that of one instrument. The others are held at zero.
+        Parameters to estimate, by name or by a common beginning of several names (`azimuth-eccentricity`);
+        ``NAME@INSTRUMENT`` means the parameter of one instrument. All other parameters are fixed at zero.
     without : str or sequence of str
-        Parameters to hold at zero.
+        Parameters that are fixed at zero.
     hold : mapping of str to float, optional
-        Parameters to hold at a value, each in its unit; several can be given.
+        Parameters that are fixed at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        Estimates of earlier calibrations with their covariance, in place of the set-up's prior; or `none`: no prior,
-        and the correction is shrunk by the readings alone. Method `network` only.
+        Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With `none` there
+        is no prior, and the readings alone determine the shrinkage of the correction. For method `network` only.
     harmonics : int, optional
-        Order of a D-H chain's joint errors, 0 to 4; default 2.
+        Order of the joint errors of a D-H chain, 0 to 4; default 2.
     degree : int, optional
-        Degree of a D-H chain's range errors, 0 to 9; default 2.
+        Degree of the range errors of a D-H chain, 0 to 9; default 2.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`, with stations, targets, and constants as
-        `law=visit` in the effect's units; the readings choose the rest. Or laws as a diagnosis reports them,
-        `vertical index ~ time:S3`. Several can be given; from Python as objects too. Method `network` only.
+        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and
+        constants such as `law=visit` in the effect's units; the readings determine all other constants. Laws have the
+        form that a diagnosis reports, `vertical index ~ time:S3`. Several can be given. For method `network` only.
     advise : bool
-        Report which further measurements would determine the undetermined combinations.
+        True to report the further measurements that would determine the undetermined combinations.
 
     Raises
     ------
@@ -199,7 +201,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     ----------
     recording : Recording, str or Path
     calibration : Calibration, str or Path, optional
-        Without it there is no "after".
+        Calibration that is applied for the values after calibration; default none.
 
     Raises
     ------
@@ -233,7 +235,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     ----------
     recording : Recording, str or Path
     nominal : str or Path
-        Table ``target,x_mm,y_mm,z_mm`` of a measuring machine.
+        Table ``target,x_mm,y_mm,z_mm`` of points from a measuring machine.
     calibration : Calibration, str or Path
 
     Examples
@@ -268,11 +270,12 @@ def history(
     Parameters
     ----------
     sources : iterable of Calibration, Recording, str or Path, or mapping of str to these
-        A recording is calibrated first, with `options` of `calibrate`. A mapping gives their labels.
+        Calibrations, or recordings, which are calibrated first with the `options` of `calibrate`. A mapping gives their
+        labels.
     instrument : str, optional
-        Name of the instrument, if a calibration has several.
+        Name of the instrument, if a calibration has several instruments.
     dates : sequence of str, optional
-        Date of each in ISO form; default those of their recordings.
+        Date of each calibration in ISO form; default the dates of the recordings.
 
     Raises
     ------

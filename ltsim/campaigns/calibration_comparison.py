@@ -51,7 +51,7 @@ class NewPointErrors(Result):
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.filled(self._rows())}
+        return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.with_rows(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():
@@ -59,9 +59,9 @@ class NewPointErrors(Result):
             yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
 
 
-def _has_same_readings(readings: Floats, others: Floats) -> bool:
+def _has_same_readings(readings: Floats, other_readings: Floats) -> bool:
     """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
-    return readings.shape != others.shape or not np.any(np.abs(readings - others) > READING_TOLERANCE)
+    return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
 
 
 def compare_calibrations(
@@ -83,13 +83,13 @@ def compare_calibrations(
     source : Scenario, str or Path
         The scenario of the recording that was calibrated.
     calibrations : Calibration, or mapping of str to Calibration
-        By the names that the result calls them.
+        Calibrations by their names in the result.
     validation_scenario : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
     applied : bool
         Judge what `correct` takes out of readings in place of the estimates, as for a campaign's method with `applied`.
     seed, trial : int
-        Those of the recording.
+        Seed and trial of the recording.
 
     Raises
     ------

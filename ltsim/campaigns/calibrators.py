@@ -155,7 +155,7 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
     for number, truth in truths.items():
         judge = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
-        whole = truth.recording.measured.all(axis=0).all()
+        whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
         key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
         groups.setdefault(key, []).append(number)
@@ -188,7 +188,7 @@ class StackCalibrator(TrialCalibrator):
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
     def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
-        """Calibrated trials of a block; a trial whose geometry leaves parameters undetermined has failed."""
+        """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, len(block.single_trials)
         )
@@ -242,7 +242,7 @@ class StackCalibrator(TrialCalibrator):
         return np.flatnonzero(doubtful)
 
     def largest_difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBlock) -> float:
-        """Difference between a trial and the full solver, as in `Calibrator`."""
+        """Difference between a trial and the full solver, as in `TrialCalibrator`."""
         selected = slice(trial, trial + 1)
         arrays = (
             calibrated.instrument_values[..., selected],

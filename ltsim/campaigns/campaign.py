@@ -114,7 +114,7 @@ def run_campaign(
         )
     with store.lock():
         if force and not resume:
-            store.clear()
+            store.remove_files()
         if store.has_campaign:
             campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
             notes += _environment_change_notes(store)
@@ -209,8 +209,8 @@ def _extended_campaign(
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise SetupError(
-            f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, the campaign in {store.folder} "
-            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a further factor needs another --out"
+            f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
+            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another --out"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     more = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}

@@ -62,7 +62,7 @@ class Design(TomlSection):
     """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
-    def _balanced(self) -> Self:
+    def _check_balance(self) -> Self:
         if self.kind == "sobol" and self.cells & (self.cells - 1):
             near = 2 ** round(float(np.log2(self.cells)))
             raise ValueError(f"it should have a power of two as cells for a Sobol sequence, such as {near}")

@@ -36,7 +36,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.absolute import solve_least_absolute
 
-MAX_STEPS = 10
+MAX_DISTANCE_STEPS = 10
 """Largest number of Gauss-Newton steps of a trial."""
 MAX_STEPS_WEAK = 30
 """Largest number of steps for weakly determined combinations by least squares."""
@@ -139,7 +139,7 @@ class BatchDistance(BatchCalibrator):
         length = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
         values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
-        for _ in range(MAX_STEPS):
+        for _ in range(MAX_DISTANCE_STEPS):
             compute_points(self._chain_program, recording.instrument, deviation, values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
@@ -155,10 +155,7 @@ class BatchDistance(BatchCalibrator):
         return values, moved
 
     def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
-        """Parameters and largest change, as `_least_squares_values`, of the wanted trials, each by its own matrix.
-
-        Inf for other trials.
-        """
+        """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
@@ -170,7 +167,7 @@ class BatchDistance(BatchCalibrator):
             else self._trial_combinations(trial_readings)
             for trial, trial_readings in readings.items()
         }
-        for iteration in range(MAX_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
+        for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
             active = wanted[moved[wanted] >= CONVERGED_CHANGE]
             if not len(active):
                 break

@@ -48,11 +48,11 @@ class CalibratedBlock:
     chi2: Floats
     """Chi-square of each trial, (B,)."""
     status_indices: Ints
-    """Index into `STATUSES`, (B,)."""
+    """Index into `TRIAL_STATUSES`, (B,)."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Parameters of additional effects, (q, B) [SI]; empty for none."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Standard deviations of these parameters, (q, 1) or (q, B) [SI]."""
+    """Standard deviations of the parameters of effects, (q, 1) or (q, B) [SI]."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
     """Parameters (14, B) [SI] of `smr-incidence` of each reflector with an estimated error, by name."""
 
@@ -101,7 +101,7 @@ class TrialCalibrator:
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated."""
     method: str = "network"
-    """Name of the method, as of `spec.Method`."""
+    """Name of the method in the campaign file."""
 
     def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
         """Calibrated block; trials that are not wanted may be NaN."""
@@ -126,7 +126,7 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
     """
     lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
-    if adjustment.recording.measured[:, 1:].any():
+    if adjustment.recording.is_measured[:, 1:].any():
         return align_to_points(points, goal_points)
     hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
     return min(hands, key=lambda moved: float(np.nansum((moved - goal_points) ** 2)))
@@ -135,14 +135,14 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
-    whole = np.asarray(recording.measured.all(axis=1) & truth.recorded_observables.all())
+    whole = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
     count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
     return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
-    """Flags (B,) of the trials with a pointing so far off that the full solver must decide about it.
+    """Flags (B,) of the trials with a pointing so far off that the full solver must solve them.
 
     `deviation` (n, 3, B) are deviations of readings to points `local_points`, (n, 3, B) or (n, 3, 1) for common points.
     """
@@ -236,7 +236,7 @@ class BatchCalibrator(TrialCalibrator):
         ), fit.has_converged
 
     def calibrate(self, block: TrialBatch, wanted: Ints | None = None) -> CalibratedBlock:
-        """Calibrated block; `wanted` (default all) are the trials that may use the single calibrator."""
+        """Calibrated block. Only the trials `wanted` (default all) may use the single calibrator, which is slow."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
         calibrated, good = self.calibrate_batch(block, wanted)
         enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local_points[:, :, None])

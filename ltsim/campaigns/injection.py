@@ -33,7 +33,7 @@ DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 MAX_PLACE_DRAWS = 25
 """Largest number of draws of unspecified values until an injection is detectable."""
 MIN_PLACE_OVERLAP = 0.5
-"""Smallest fraction of common targets or stations at which a group of them counts as correct."""
+"""Smallest fraction of common targets or stations at which a reported group counts as the injected one."""
 
 
 def inject(
@@ -47,22 +47,23 @@ def inject(
     Parameters
     ----------
     recording : Recording, str or Path
-        Measured or simulated.
+        Measured or simulated recording.
     *causes : str or Effect
-        ``EFFECT`` or ``EFFECT:WHERE,...``: an effect of the catalogue, or a law in words as of `calibrate`
-        (``CARRIER ~ DRIVER``); stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
-        units, of a law ``size=VALUE`` (rms, um or urad). What is not said is drawn: place, constants, plausible size.
-        Vectors are in the axes of the recording's adjustment.
+        Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as of `calibrate` (``RESPONSE ~
+        REGRESSOR``). WHERE lists stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
+        units; a law has ``size=VALUE`` (rms, um or urad). Values that are not given are drawn: place, constants,
+        plausible size. Vectors are in the axes of the recording's adjustment.
     noncentrality : float, optional
-        What the adjustment leaves of each cause: sizes are scaled to it.
+        Squared length of the part of each cause that remains in the residuals, in units of the noise; the sizes are
+        scaled to it.
     seed : int
-        Root of the draws.
+        Root of all random draws.
 
     Returns
     -------
     recording : Recording
     truth : InjectionTruth
-        Nothing that calibrates or diagnoses takes it.
+        Injected values, which no calibration or diagnosis reads.
 
     Raises
     ------
@@ -114,17 +115,18 @@ def injection_curve(
     ----------
     recording : Recording, str or Path
     cause : str
-        As of `inject`; unspecified values, such as the place, are drawn anew for each injection.
+        Effect or law as of `inject`; values that are not given, such as the place, are drawn for each injection.
     strengths : sequence of float
-        Noncentralities.
+        Noncentralities of the injections.
     injections : int
-        At each strength; each is diagnosed.
+        Number of injections at each strength; each is diagnosed.
     seed : int
 
     Returns
     -------
-    InjectionCurve
-        Curve of the cause; an effect reported for the recording without any injection is no success.
+    DetectionCurve
+        Fractions of detected, located and named injections. An effect that is reported for the recording without
+        injection does not count as detected.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
 def compare_with_injection(
     diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
 ) -> dict[str, bool]:
-    """Flags for the findings beyond those of the background: effect detected, located and identified."""
+    """Flags of the findings that are not in the background: effect detected, located and identified."""
     before = {_finding_key(f) for f in background_findings.findings}
     new = [f for f in diagnosis.findings if _finding_key(f) not in before]
     placed = [f for f in new if _has_same_place(cause.effect, f)]

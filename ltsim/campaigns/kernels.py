@@ -13,17 +13,17 @@ from ltsim.campaigns.compiled import compile_function, compile_inlined, trial_va
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Floats, Ints
 
-STEP_TOLERANCE = 1e-9
+NEWTON_STEP_TOLERANCE = 1e-9
 """Step [m, rad] of Newton's method below which it ends; the remaining error is smaller by a factor of 1e-4."""
-MAX_NEWTON_STEPS = 8
+MAX_BATCH_NEWTON_STEPS = 8
 """Largest number of Newton steps of an inversion."""
 
 
 @compile_inlined
-def _add_small_angle(cosine: float, sine: float, small: float) -> tuple[float, float]:
+def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[float, float]:
     """Cosine and sine of the sum of an angle and a small one."""
-    square = small * small
-    s = small * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
+    square = small_angle * small_angle
+    s = small_angle * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
     c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
     return cosine * c - sine * s, sine * c + cosine * s
 
@@ -113,7 +113,7 @@ def _backpropagate(
     pointing: int,
     chain: ChainProgram,
     deviation: Floats,
-    moved: Floats,
+    moved_points: Floats,
     path: Floats,
     force: Floats,
     pull: Floats,
@@ -121,7 +121,7 @@ def _backpropagate(
 ) -> None:
     """Subtraction of the generalised forces of a force (3, B) on the point from the gradient (p, B) (virtual work)."""
     turns, axis, sign, _, amount, first, fed, varies, basis, slope = chain
-    trials = moved.shape[1]
+    trials = moved_points.shape[1]
     for m in range(len(turns)):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
@@ -153,7 +153,7 @@ def _backpropagate(
                         )
         if turns[m] != 0:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
-            delta = moved[m]
+            delta = moved_points[m]
             for t in range(trials):
                 cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
@@ -199,7 +199,7 @@ def compute_readings(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
-        for _ in range(MAX_NEWTON_STEPS):
+        for _ in range(MAX_BATCH_NEWTON_STEPS):
             _motion_amounts(i, chain, deviation[i], parameters, moved)
             _forward_chain(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
@@ -216,7 +216,7 @@ def compute_readings(
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
-            if not largest > STEP_TOLERANCE:
+            if not largest > NEWTON_STEP_TOLERANCE:
                 break
 
 

@@ -33,7 +33,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_from_cholesky
 from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-MAX_STEPS = 8
+MAX_NETWORK_STEPS = 8
 """Largest number of Gauss-Newton steps of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
@@ -130,7 +130,7 @@ class BatchNetwork:
     def _whitened_system(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all rows, with columns in the order of the problem, and residuals (m,)."""
         prediction = (
-            self.problem.model.linearised(self.nominal_state)
+            self.problem.model.linearise(self.nominal_state)
             if self.shared_quantities is None
             else self._nominal_prediction(self.shared_quantities)
         )
@@ -142,7 +142,7 @@ class BatchNetwork:
     def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
-        They equal those of `MeasurementModel.linearised`.
+        They equal those of `MeasurementModel.linearise`.
         """
         recording, state = self.recording, self.state
         by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
@@ -220,7 +220,7 @@ class BatchNetwork:
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
-        """Sightings on the floor plan, the frame of the full solver for such a network, in which nests are known."""
+        """Sightings in the frame of the floor plan, in which the full solver knows the nests."""
         state = self.nominal_state
         motion = self._network_frame.plan_motion(state.station_positions, state.station_rotations)
         if motion is not None:
@@ -279,7 +279,7 @@ class BatchNetwork:
         x, predicted = self._first_step(deviation, gauge_error)
         before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        for _ in range(2, MAX_STEPS + 1):
+        for _ in range(2, MAX_NETWORK_STEPS + 1):
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.step(gradient)
             x += step

@@ -49,7 +49,7 @@ class PairedDifference:
 
     @property
     def sentence(self) -> str:
-        """Text of the difference in one sentence."""
+        """Sentence on the difference."""
         where = "".join(f", {name} {value}" for name, value in self.settings.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
@@ -60,7 +60,7 @@ class PairedDifference:
 
 @dataclass(frozen=True, repr=False)
 class PairedDifferences(Result):
-    """Differences on common draws."""
+    """Differences between the methods and levels of a campaign on common draws."""
 
     entries: tuple[PairedDifference, ...]
 

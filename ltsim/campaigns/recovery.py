@@ -28,7 +28,7 @@ from pydantic import Field, PrivateAttr
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
-    PARAMETERS_TABLE,
+    RECOVERED_PARAMETERS_TABLE,
     TRIALS_TABLE,
     FailedTrial,
     RecoveredParameter,
@@ -125,9 +125,9 @@ class Recovery(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "checks": lambda: CHECKS_TABLE.filled(self.checks),
-            "parameters": lambda: PARAMETERS_TABLE.filled(self.parameters),
-            "trials": lambda: TRIALS_TABLE.filled(self.arrays.trial_rows()),
+            "checks": lambda: CHECKS_TABLE.with_rows(self.checks),
+            "parameters": lambda: RECOVERED_PARAMETERS_TABLE.with_rows(self.parameters),
+            "trials": lambda: TRIALS_TABLE.with_rows(self.arrays.trial_rows()),
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
@@ -186,36 +186,37 @@ def recover(
     ----------
     source : Scenario, str or Path
     trials : int
-        How many recordings to simulate, at least two.
+        Number of simulated recordings, at least two.
     method, with_effects
-        Of ltsim's calibrator, as of `calibrate`.
+        Options of ltsim's calibrator, as of `calibrate`.
     construction : str, optional
-        Of ltsim's calibrator; by default that of the scenario.
+        Construction of the instrument in ltsim's calibrator; default that of the scenario.
     calibrator : callable or str, optional
-        Another calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
-        recording and writes parameters as JSON; in Python also a function that takes a recording and gives value, sigma
-        (or None) and unit of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result
-        end the run.
+        External calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
+        recording and writes parameters as JSON. In Python it can also be a function of a recording that returns value,
+        sigma (or None) and unit of each parameter by name. Parameters of effects have names such as ``head-sag:sag``.
+        The run ends after three trials without a result.
     tolerance : mapping of str to str, optional
-        Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
-        checked then.
+        Limit that 95 % of the errors of a parameter must not exceed, such as `2 urad` for `beam-tilt`; only parameters
+        with a tolerance are then checked.
     allow_unchecked : bool
-        Pass although the calibrator declares no sigma of a parameter and no tolerance is given, so that nothing is
-        checked of it.
+        True to pass although a parameter cannot be checked, because the calibrator gives no sigma and there is no
+        tolerance.
     errors : {`drawn`, `stated`}, optional
-        Errors drawn from the prior, or as the scenario states them; default stated where it does.
+        Instrument errors that are drawn from the prior, or given by the scenario; default `stated` if the scenario
+        gives any.
     seed : int
-        Root of all draws. Trial N is that of `simulate` with this seed and places of its own (`per-trial`).
+        Root of all random draws. Trial N equals that of `simulate` with this seed and places per trial (`per-trial`).
     jobs : int
-        Processes to work with; functions run in this one.
+        Number of processes; a function as calibrator runs in this process.
     progress : callable
-        Told of every trial that is done.
+        Callback that is called after every trial.
 
     Returns
     -------
     Recovery
-        `passed`, `checks`, `problems()`; `failures()` lists the checks that fail; a correct model fails any in one
-        run of a hundred.
+        Result with `passed`, `checks` and `problems()`; `failures()` lists the failed checks. A correct model fails any
+        check in one run of a hundred.
 
     Examples
     --------
@@ -266,7 +267,7 @@ def _require_same_parameters(trial: TrialScore, before: Sequence[TrialScore | No
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
-    """Tolerances such as ``2 urad`` in the units of a trial's parameters.
+    """Tolerances such as ``2 urad`` in the units of the parameters of a trial.
 
     Raises SetupError for another kind of unit.
     """

@@ -54,10 +54,10 @@ class RecoveryCheck(Entry):
     """True if the number lies between the bounds."""
 
     @classmethod
-    def from_value(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
+    def from_value(cls, subject: str, statistic: str, value: float, low: float, high: float) -> Self:
         """Check of a number; NaN fails."""
         passed = bool(low <= value <= high)
-        return cls(subject=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
+        return cls(subject=subject, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
     def with_limits(self, low: float, high: float) -> Self:
         """Check of the same number with other limits."""
@@ -86,11 +86,11 @@ def recovery_checks(
     Parameters
     ----------
     estimate, truth : (N, p) float
-        Of N trials and p parameters, in any unit.
+        Estimates and true values of p parameters in N trials, in any unit.
     sigma : (N, p) float, optional
         Standard deviations that the calibrator declares; without them only tolerances are checked.
     names : sequence of str, optional
-        Of the parameters; default their numbers.
+        Names of the parameters; default their numbers.
     tolerance : mapping of str to float, optional
         95 % of a parameter's errors lie within it; with it only the parameters that it names are checked.
     false_alarm : float
@@ -98,9 +98,9 @@ def recovery_checks(
 
     Returns
     -------
-    list of Check
-        Of each parameter: mean, standard deviation and coverage of (estimate - truth) / sigma, which is standard normal
-        where truths scatter as the calibrator assumes and its sigmas are right.
+    list of RecoveryCheck
+        Checks of each parameter: mean, standard deviation and coverage of (estimate - truth) / sigma, which is standard
+        normal if the truths scatter as the calibrator assumes and its sigmas are right.
 
     Raises
     ------

@@ -76,7 +76,9 @@ class RecoveredParameter(Entry):
     """Upper 95 % confidence limit of that mean."""
 
 
-PARAMETERS_TABLE = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
+RECOVERED_PARAMETERS_TABLE = Table(
+    "parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter)
+)
 TRIALS_TABLE = Table(
     "trials.csv",
     "estimates of the trials with a result, one row per trial and parameter",

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 METHOD_AXIS = "calibrator"
 """Name of the axis of methods in an xarray dataset, where `method` is already an argument of `sel`."""
 N_BOOTSTRAP_RESAMPLES = 400
-"""Number of resamples of a bootstrap interval, whose limits then have a sampling error of about a
-tenth of its width.
-"""
+"""Number of resamples of a bootstrap interval; its limits then have a sampling error of about a tenth of its width."""
 RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of a factor cannot have; an underscore is then appended."""
 
@@ -38,7 +36,7 @@ class CampaignResults(CampaignStatistics, Result):
     def __reduce__(self) -> tuple[type[CampaignResults], tuple[Path]]:
         return CampaignResults, (self.folder.resolve(),)
 
-    def paired(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
+    def paired_differences(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
 
         Parameters
@@ -46,15 +44,15 @@ class CampaignResults(CampaignStatistics, Result):
         statistic : str
             A column of the rows, or a share.
         **between
-            One of ``method=("distance", "network")`` or a factor with two of its levels, ``faces=(1, 2)``: the first
-            less the second, for every combination of the other settings.
+            Either ``method=("distance", "network")``, or a factor with two of its levels, ``faces=(1, 2)``: first minus
+            second, for every combination of the other settings.
 
         Raises
         ------
         ModelError
             When there is no such statistic, method, factor or level.
         """
-        self._quoted(statistic)
+        self._sql_column(statistic)
         return paired_differences(self, statistic, **between)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
@@ -63,8 +61,8 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         function : callable
-            Of one array (n,) per column, with the values of the same n trials; returns a number. Trials in which a
-            column has no value are left out.
+            Function of one array (n,) per column, with the values of the same n trials, that returns a number. Trials
+            without a value in a column are omitted.
         *columns : str
             Columns of the rows.
 
@@ -81,7 +79,7 @@ class CampaignResults(CampaignStatistics, Result):
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
-        quoted = [self._quoted(column) for column in columns]
+        quoted = [self._sql_column(column) for column in columns]
         where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
         name = getattr(function, "__name__", type(function).__name__)
         spreads = []

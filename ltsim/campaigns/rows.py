@@ -236,7 +236,7 @@ class TrialBlock:
     block: TrialBatch
     validation_evaluator: TrialEvaluator | None
     wanted_trials: Ints
-    """Indices in the block of the trials whose rows are wanted."""
+    """Indices in the block of the trials whose rows are requested."""
     verified_trials: Ints
     """Indices in the block of the trials that the full solver repeats."""
     truth_only: bool = False

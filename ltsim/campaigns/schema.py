@@ -53,9 +53,9 @@ def _parameter_column(name: str, unit: str, group: StatisticGroup, meaning: str)
     return RowColumn(f"{name}:", meaning, unit=unit, group=group)
 
 
-def _criterion_columns(kind: str, what: str) -> list[RowColumn]:
+def _criterion_columns(kind: str, meaning: str) -> list[RowColumn]:
     sizes = {
-        f"{kind}_{when}_{which}_um": f"{word} of {what}, {words}"
+        f"{kind}_{when}_{which}_um": f"{word} of {meaning}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
@@ -63,12 +63,12 @@ def _criterion_columns(kind: str, what: str) -> list[RowColumn]:
     return _result_columns("criteria", "um", **sizes) + _result_columns("criteria", "%", **gain)
 
 
-def _error_columns(prefix: str, what: str) -> list[RowColumn]:
+def _error_columns(prefix: str, meaning: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     sizes = {
-        f"{prefix}error_raw_um": f"{what}; readings without corrections",
-        f"{prefix}error_calibrated_um": f"{what}; readings corrected by the estimates",
-        f"{prefix}error_true_parameters_um": f"{what}; {floor}",
+        f"{prefix}error_raw_um": f"{meaning}; readings without corrections",
+        f"{prefix}error_calibrated_um": f"{meaning}; readings corrected by the estimates",
+        f"{prefix}error_true_parameters_um": f"{meaning}; {floor}",
     }
     return _result_columns("errors", "um", **sizes) + _result_columns(
         "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}

@@ -114,7 +114,8 @@ def run_external_calibrator(
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (RecordError, OSError, KeyError, TypeError) as problem:
-            raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
+            message = f"the result is no list of parameters with name, value and unit ({problem!r})"
+            raise RecordError(message, file=where) from None
         return _validated_estimates(listed, where)
 
 
@@ -146,7 +147,7 @@ class NetworkScore:
     expected_chi2: float = np.nan
     """Mean of chi-square for the truth as it was made, declared or drawn."""
     chi2_deviation: float = np.nan
-    """Standard deviation of chi-square for the truth as it was made."""
+    """Standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
 
 
 @dataclass(frozen=True)
@@ -160,9 +161,8 @@ class TrialScore(ValueEquality):
     """Standard deviations that the calibrator declares, (p,); NaN for none."""
     true_values: Floats
     standard_z_scores: Floats
-    """z-scores (p,) that are standard normal for the truth as it was made, declared or drawn; NaN for parameters
-    without influence of noise, and for a calibrator with unknown prior.
-    """
+    """z-scores (p,) that are standard normal for the truths of the campaign, drawn or fixed; NaN for parameters without
+    influence of noise, and for a calibrator with unknown prior."""
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
@@ -322,7 +322,7 @@ def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]
 
 
 def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square for such truths."""
+    """Mean and standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)

@@ -133,7 +133,7 @@ class CampaignFile(TomlSection):
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Stopping rule of a cell before it has all its trials."""
+    """Rule that ends a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
@@ -168,11 +168,14 @@ class CampaignFile(TomlSection):
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
         if cells > MAX_CELLS:
-            raise ValueError(f"it should have at most {MAX_CELLS} cells, the grid makes {cells}: divide the campaign")
+            raise ValueError(
+                f"it should have at most {MAX_CELLS} cells, but the grid gives {cells}: divide the campaign"
+            )
         if cells * self.n_shards_per_cell > MAX_SHARDS:
             raise ValueError(
-                f"it should have at most {MAX_SHARDS} shards, trials and shard make {cells * self.n_shards_per_cell}: "
-                "give a larger shard"
+                f"it should have at most {MAX_SHARDS} shards, "
+                f"but trials and shard give {cells * self.n_shards_per_cell}: "
+                "increase shard"
             )
         return self
 

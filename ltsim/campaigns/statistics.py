@@ -55,7 +55,7 @@ class StatisticSummary:
     """Statistic over the trials of one cell and method.
 
     `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
-    to `LEVELS`. A ratio over all trials has only a mean and an interval.
+    to `QUANTILE_LEVELS`. A ratio over all trials has only a mean and an interval.
     """
 
     cell: int
@@ -119,9 +119,9 @@ class CampaignStatistics:
     folder : Path
     manifest : ManifestFile
     factors : tuple of Factor
-        What differs between cells: the columns of settings.
+        Factors that differ between cells: the columns of settings.
     levels : list of dict
-        Their values in each cell, by name.
+        Levels of the factors in each cell, by name.
     columns : tuple of str
         The columns that hold results, and the shares of all trials together.
     units : dict
@@ -207,7 +207,7 @@ class CampaignStatistics:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
         rows = self._with_settings(self.summary()["columns"])
-        return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
+        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> ColumnValues:
         with _interruptible():
@@ -236,7 +236,7 @@ class CampaignStatistics:
         except duckdb.Error as problem:
             raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
-    def _quoted(self, column: str) -> str:
+    def _sql_column(self, column: str) -> str:
         if column not in self.columns:
             raise unknown_name("column of these rows", column, self.columns)
         return sql_identifier(column)
@@ -249,7 +249,7 @@ class CampaignStatistics:
 
     def distribution(self, column: str) -> list[StatisticSummary]:
         """Mean, standard deviation and quantiles of a column in every cell and for every method."""
-        name = self._quoted(column)
+        name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
@@ -293,7 +293,7 @@ class CampaignStatistics:
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
         """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
-        name = self._quoted(column)
+        name = self._sql_column(column)
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def term_values(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
@@ -309,7 +309,7 @@ class CampaignStatistics:
         """Mean, standard deviation and coverage of the z-scores of every parameter."""
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
-            name, parameter = self._quoted(column), column.removeprefix("z:")
+            name, parameter = self._sql_column(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
                 summaries.append(

@@ -95,7 +95,7 @@ class CampaignFolder:
             raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
     def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
-        """Check that shards are as they were written for their cells.
+        """Check that the shards are unchanged since they were written, and belong to their cells.
 
         Raises OSError, ValueError or pyarrow.ArrowException.
         """
@@ -161,7 +161,7 @@ class CampaignFolder:
         there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
-    def clear(self) -> None:
+    def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
         path_in_folder(self.folder, ROWS_FOLDER)
         with self._storage_errors():
@@ -171,7 +171,7 @@ class CampaignFolder:
                 shutil.rmtree(self.folder / ROWS_FOLDER)
 
     def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
-        """Status of a shard: `whole`, `missing`, `damaged`, or `short` of rows or columns.
+        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` of rows or columns.
 
         `digests` are the recorded digests.
         """

@@ -27,7 +27,7 @@ from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, ideal_construction
 
-MAX_COLLINEAR_RATIO = 1e-3
+MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
 """Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
 
 
@@ -64,7 +64,7 @@ class TrialEvaluator:
 
     def _determines_frame(self, use: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_COLLINEAR_RATIO)
+        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_UNDETERMINED_ROTATION_RATIO)
 
     def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None

@@ -36,7 +36,8 @@ from ltsim.simulation.workshop import WorkshopLayout
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
 MAX_NONLINEARITY = 1e-3
-"""Largest deviation of an effect from its linear form, in sigmas of a reading, at which it is treated as linear."""
+"""Largest deviation of an effect from its linear form, in sigmas of a reading, at which the effect is treated as
+linear."""
 
 
 @dataclass(frozen=True)

@@ -30,27 +30,27 @@ def campaign(
     Parameters
     ----------
     source : str, Path or mapping
-        A campaign file (ltsim-campaign/1), its tables without the format, or the folder of a campaign that has run.
+        Campaign file (ltsim-campaign/1), its tables without the format, or the folder of a finished campaign.
     out : str or Path, optional
-        Folder for the rows; default the file's name without its ending. Needed where `source` is a mapping.
+        Folder for the rows; default the file's name without its suffix. Required if `source` is a mapping.
     jobs : int
-        Processes; the rows do not depend on it. With dask the workers of the scheduler decide.
+        Number of processes; the rows do not depend on it. With dask the workers of the scheduler are used.
     backend : {`local`, `dask`}
-        Processes on this machine, or workers of a dask cluster.
+        Processes on this machine (`local`), or workers of a dask cluster (`dask`).
     scheduler : str
         Address of the dask scheduler, such as tcp://host:8786, or the file that it wrote.
     resume : bool
-        Continue what the folder holds; where the file has further levels, trials or statistics by now, only what is
-        missing is done.
+        True to continue the campaign in the folder. If levels, trials or statistics were added to the file, only what
+        is missing is computed.
     force : bool
-        Begin anew in a folder that holds a campaign; its rows are lost.
+        True to start again in a folder that contains a campaign; its rows are deleted.
     changes : mapping, optional
-        Other values of keys of the file, as 200 for `trials`, or of the scenario, as 2 for `work.faces`.
+        New values of keys of the file, such as 200 for `trials`, or of the scenario, such as 2 for `work.faces`.
 
     Returns
     -------
-    Results
-        The rows as tables to query.
+    CampaignResults
+        Rows as tables for queries.
 
     Raises
     ------

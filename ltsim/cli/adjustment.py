@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, ReadingOptions, Source
-from ltsim.cli.places import RECORDING, Force
+from ltsim.cli.options import (
+    CalibrationFileOption,
+    FramedReadingOptions,
+    OptionalCalibrationFileOption,
+    ReadingOptions,
+    RecordingArgument,
+)
+from ltsim.cli.places import RECORDING_OUTPUT, ForceOption
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.units import ARCSECOND, MICROMETRE
 
@@ -20,21 +26,23 @@ if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.recordings import Recording
 
-MIN_SHOWN = 0.005
+MIN_REPORTED_READING_CHANGE = 0.005
 """Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
-Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
-Rejected = Annotated[
+CorrectedRecordingOption = Annotated[
+    Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
+]
+AllowRejectedOption = Annotated[
     bool, typer.Option("--allow-rejected", help="Also use a calibration whose readings contradict its model.")
 ]
-Nominal = Annotated[
+NominalPointsOption = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
 ]
 
 
 def adjust(
-    source: Source,
+    source: RecordingArgument,
     *,
-    reading: FramedReading,
+    reading: FramedReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> None:
@@ -44,13 +52,13 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _fitted(lt.adjust, source, reading, terminal, options)
+    _run_estimation(lt.adjust, source, reading, terminal, options)
 
 
 def calibrate(
-    source: Source,
+    source: RecordingArgument,
     *,
-    reading: FramedReading,
+    reading: FramedReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> None:
@@ -60,17 +68,17 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _fitted(lt.calibrate, source, reading, terminal, options)
+    _run_estimation(lt.calibrate, source, reading, terminal, options)
 
 
 def correct(
-    source: Source,
-    calibration: CalibrationFile,
-    out: Corrected,
+    source: RecordingArgument,
+    calibration: CalibrationFileOption,
+    out: CorrectedRecordingOption,
     *,
-    reading: FramedReading,
-    allow_rejected: Rejected = False,
-    force: Force = False,
+    reading: FramedReadingOptions,
+    allow_rejected: AllowRejectedOption = False,
+    force: ForceOption = False,
     terminal: Terminal,
 ) -> None:
     """Remove the instrument's errors from a recording, by a calibration.
@@ -86,32 +94,36 @@ def correct(
     from ltsim.geometry.polar import wrap_angle
     from ltsim.physics.effects import title_of
 
-    recording, instrument = reading.of(source), read_calibration(calibration)
+    recording, instrument = reading.read(source), read_calibration(calibration)
     corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
-    terminal.notes((*recording.notes, *instrument.warnings))
+    terminal.print_notes((*recording.notes, *instrument.warnings))
     if not instrument.instrument_parameter_names:
-        terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
+        terminal.print_notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
         estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
-        terminal.notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
+        terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
-        terminal.notes(instrument.correction.sentences)
+        terminal.print_notes(instrument.correction.sentences)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
-    terminal.answer({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
+    terminal.print_json({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
     distance, azimuth, elevation = largest
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
     applied = f"{len(recording)} pointings corrected by {sizes}"
-    terminal.say(applied if np.any(largest >= MIN_SHOWN) else "no correction was applied: the readings do not change")
-    terminal.say(f"written to {out}")
+    terminal.print_text(
+        applied
+        if np.any(largest >= MIN_REPORTED_READING_CHANGE)
+        else "no correction was applied: the readings do not change"
+    )
+    terminal.print_text(f"written to {out}")
 
 
 def evaluate(
-    source: Source,
-    calibration: OptionalCalibrationFile = None,
+    source: RecordingArgument,
+    calibration: OptionalCalibrationFileOption = None,
     *,
     reading: ReadingOptions,
     terminal: ResultTerminal,
@@ -126,19 +138,19 @@ def evaluate(
     from ltsim.adjustment.snooping import screen_gross_errors
 
     terminal.check_overwrite(Criteria)
-    recording = reading.open(source, terminal)
+    recording = reading.read_and_report(source, terminal)
     gross = screen_gross_errors(recording).is_gross_pointing
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
-        terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
-    applied = None if calibration is None else calibration_of(terminal, calibration)
-    _judged(terminal, lt.evaluate(recording, applied))
+        terminal.print_notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
+    applied = None if calibration is None else read_calibration_with_notes(terminal, calibration)
+    _write_and_print_criteria(terminal, lt.evaluate(recording, applied))
 
 
 def verify(
-    source: Source,
-    nominal: Nominal,
-    calibration: CalibrationFile,
+    source: RecordingArgument,
+    nominal: NominalPointsOption,
+    calibration: CalibrationFileOption,
     *,
     reading: ReadingOptions,
     terminal: ResultTerminal,
@@ -152,15 +164,15 @@ def verify(
     from ltsim.adjustment.evaluation import Criteria
 
     terminal.check_overwrite(Criteria)
-    recording = reading.open(source, terminal)
-    applied = calibration_of(terminal, calibration)
-    _judged(terminal, lt.verify(recording, nominal, applied))
+    recording = reading.read_and_report(source, terminal)
+    applied = read_calibration_with_notes(terminal, calibration)
+    _write_and_print_criteria(terminal, lt.verify(recording, nominal, applied))
 
 
-def _fitted(
-    verb: Callable[..., Calibration],
+def _run_estimation(
+    estimator: Callable[..., Calibration],
     source: Path,
-    reading: FramedReading,
+    reading: FramedReadingOptions,
     terminal: ResultTerminal,
     options: dict[str, Any],
 ) -> None:
@@ -170,39 +182,39 @@ def _fitted(
     from ltsim.calibration.files import write_calibration
     from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
-    adjust_only = verb is lt.adjust
+    adjust_only = estimator is lt.adjust
     names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
     terminal.check_overwrite(
-        Calibration, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
+        Calibration, *names, is_of_same_command=lambda result: (result.method == "adjustment") == adjust_only
     )
-    recording = reading.open(source, terminal)
-    with terminal.progress("adjusting" if adjust_only else "calibrating"):
-        result = verb(recording, **options)
+    recording = reading.read_and_report(source, terminal)
+    with terminal.show_progress("adjusting" if adjust_only else "calibrating"):
+        result = estimator(recording, **options)
     result = write_calibration(result, terminal.out) if terminal.out else result
-    terminal.result(result, notes=result.notes)
+    terminal.print_result(result, notes=result.notes)
 
 
-def _judged(terminal: ResultTerminal, criteria: Criteria) -> None:
-    criteria = terminal.write(criteria)
-    terminal.answer(criteria.content())
-    terminal.say(criteria.table().text())
+def _write_and_print_criteria(terminal: ResultTerminal, criteria: Criteria) -> None:
+    criteria = terminal.write_result(criteria)
+    terminal.print_json(criteria.content())
+    terminal.print_text(criteria.table().text())
     if terminal.out is not None:
-        terminal.say(f"\nwritten to {terminal.out}")
+        terminal.print_text(f"\nwritten to {terminal.out}")
 
 
-def calibration_of(terminal: Terminal, path: Path) -> Calibration:
+def read_calibration_with_notes(terminal: Terminal, path: Path) -> Calibration:
     """Calibration from a file, with its notes printed; raises RecordError."""
     from ltsim.calibration.files import read_calibration
 
     calibration = read_calibration(path)
-    terminal.notes(calibration.warnings)
+    terminal.print_notes(calibration.warnings)
     return calibration
 
 
-FailOnMismatch = Annotated[
+FailOnMismatchOption = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 if recording and model disagree (for CI).")
 ]
-HeldOut = Annotated[
+HeldOutOption = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
@@ -213,11 +225,11 @@ HeldOut = Annotated[
 
 
 def diagnose(
-    source: Source,
-    held_out: HeldOut = None,
-    fail_on_mismatch: FailOnMismatch = False,
+    source: RecordingArgument,
+    held_out: HeldOutOption = None,
+    fail_on_mismatch: FailOnMismatchOption = False,
     *,
-    reading: FramedReading,
+    reading: FramedReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
@@ -229,26 +241,28 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     from ltsim.diagnosis.diagnosis import Diagnosis
-    from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
+    from ltsim.diagnosis.files import COMPANION_FILES, write_diagnosis
 
-    terminal.check_overwrite(Diagnosis, *COMPANIONS)
-    recording = reading.open(source, terminal)
-    with terminal.progress("diagnosing"):
+    terminal.check_overwrite(Diagnosis, *COMPANION_FILES)
+    recording = reading.read_and_report(source, terminal)
+    with terminal.show_progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options)
     diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
-    terminal.result(diagnosis)
+    terminal.print_result(diagnosis)
     return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
 
 
-Sources = Annotated[
+HistorySourcesArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="REC_OR_CALIBRATION...",
         help="Recordings, calibration.json files, or folders of either, in the order of time.",
     ),
 ]
-EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate each set-up of a recording separately.")]
-FailOnChange = Annotated[
+EachSetUpOption = Annotated[
+    bool, typer.Option("--each-set-up", help="Calibrate each set-up of a recording separately.")
+]
+FailOnChangeOption = Annotated[
     bool,
     typer.Option(
         "--fail-on-change",
@@ -259,9 +273,9 @@ FailOnChange = Annotated[
 
 
 def history(
-    sources: Sources,
-    each_set_up: EachSetUp = False,
-    fail_on_change: FailOnChange = False,
+    sources: HistorySourcesArgument,
+    each_set_up: EachSetUpOption = False,
+    fail_on_change: FailOnChangeOption = False,
     *,
     reading: ReadingOptions,
     terminal: ResultTerminal,
@@ -274,27 +288,27 @@ def history(
     Example: ltsim history january.json may.json september-recording --out my-history
     """
     from ltsim.calibration.history import History
-    from ltsim.reports.sections import section_of
+    from ltsim.reports.sections import result_section
 
     terminal.check_overwrite(History, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
-        opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
-    with terminal.progress("calibrating"):
+        opened |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
+    with terminal.show_progress("calibrating"):
         content = lt.history(opened, **options)
 
-    def drawn() -> dict[str, str]:
+    def history_picture() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
-        from ltsim.reports.style import svg
+        from ltsim.reports.style import svg_text
 
-        return {"history.svg": svg(history_figure(content.labels, content.determined_parameters))}
+        return {"history.svg": svg_text(history_figure(content.labels, content.determined_parameters))}
 
-    written = terminal.write(content, drawn)
-    terminal.result(written)
-    return 1 if fail_on_change and section_of(content).mood == "bad" else 0
+    written = terminal.write_result(content, history_picture)
+    terminal.print_result(written)
+    return 1 if fail_on_change and result_section(content).assessment == "bad" else 0
 
 
-def _opened(
+def _calibrations_or_recordings(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
     """Calibrations or recordings by label; with `each_set_up`, one recording per set-up."""
@@ -303,9 +317,9 @@ def _opened(
     file = Calibration.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
-        return {label or source.stem: calibration_of(terminal, source)}
-    recording = reading.of(source)
-    terminal.notes(recording.notes)
+        return {label or source.stem: read_calibration_with_notes(terminal, source)}
+    recording = reading.read(source)
+    terminal.print_notes(recording.notes)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:
         return {label: recording}

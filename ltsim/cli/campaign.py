@@ -14,8 +14,8 @@ import typer
 import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli import streams
-from ltsim.cli.places import FILE, FOLDER, Force
-from ltsim.cli.simulate import ScenarioName
+from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
+from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.arguments import bounded_parser, range_text
 from ltsim.core.errors import SetupError, StoppedError
@@ -26,24 +26,28 @@ if TYPE_CHECKING:
     from ltsim.campaigns.results import CampaignResults
 
 
-MAX_BATCH_DIFFERENCE = 1e-3
+MAX_BATCH_SOLVER_DIFFERENCE = 1e-3
 """Largest allowed difference [sigma] of the batch solver from the full one."""
 
 
-CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
-Example = Annotated[bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")]
-Rows = Annotated[
+CampaignFileArgument = Annotated[
+    Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")
+]
+ShowTemplateOption = Annotated[
+    bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
+]
+RowsFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),
-    FOLDER,
+    COMMAND_CHECKED_OUTPUT,
 ]
 
 
 def campaign(
-    file: CampaignFile = None,
-    show_example: Example = False,
-    out: Rows = None,
-    force: Force = False,
+    file: CampaignFileArgument = None,
+    show_example: ShowTemplateOption = False,
+    out: RowsFolderOption = None,
+    force: ForceOption = False,
     *,
     terminal: Terminal,
     **options: Any,
@@ -62,7 +66,7 @@ def campaign(
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
     if show_example:
-        terminal.show((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
+        terminal.print_always((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
         return 0
     if file is None:
         raise SetupError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
@@ -80,9 +84,9 @@ def campaign(
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
     if not is_compiled():
-        terminal.note("First campaign: compiling the solver takes about 30 s.")
+        terminal.print_note("First campaign: compiling the solver takes about 30 s.")
     try:
-        with terminal.progress("trials", total) as advance:
+        with terminal.show_progress("trials", total) as advance:
             outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         finished = len(CampaignFolder(folder).shards())
@@ -91,35 +95,35 @@ def campaign(
     summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv())
     for note in outcome.notes:
-        terminal.note(note)
-    terminal.answer(summary)
+        terminal.print_note(note)
+    terminal.print_json(summary)
     again = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
-    terminal.say(f"{outcome.n_computed_shards} shards written to {folder}{again}\n")
-    if not terminal.silent:
-        terminal.say(campaign_section(folder).text())
-        terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
+    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{again}\n")
+    if not terminal.is_silent:
+        terminal.print_text(campaign_section(folder).terminal_text())
+        terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [
-        disagreement(e, results)
+        solver_difference_sentence(e, results)
         for e in summary["ends"]
-        if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_DIFFERENCE
+        if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:
-        streams.write(failure, sys.stderr)
+        streams.write_line(failure, sys.stderr)
     return 1 if failures else 0
 
 
-def disagreement(end: dict[str, Any], results: CampaignResults) -> str:
+def solver_difference_sentence(cell_end: dict[str, Any], results: CampaignResults) -> str:
     """Sentence for exit status 1: cell, difference and limit."""
-    cell = results.manifest.cells[end["cell"]].label
+    cell = results.manifest.cells[cell_end["cell"]].label
     return (
-        f"cell {end['cell'] + 1} ({cell}), {end['method']}: the batch solver differs from the full one by up to "
-        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, "
-        f"limit {MAX_BATCH_DIFFERENCE:g}; "
+        f"cell {cell_end['cell'] + 1} ({cell}), {cell_end['method']}: the batch solver differs from the full one by "
+        f"up to {cell_end['largest_difference_sigma']:.2g} sigma on {cell_end['checked']} verified trials, "
+        f"limit {MAX_BATCH_SOLVER_DIFFERENCE:g}; "
         'set solver = "single" for the method to use the full solver'
     )
 
 
-RecoverJobs = Annotated[
+RecoverJobsOption = Annotated[
     int | None,
     typer.Option(
         "--jobs",
@@ -131,18 +135,21 @@ RecoverJobs = Annotated[
 ]
 
 
-JunitFile = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."), FILE
+JunitFileOption = Annotated[
+    Path | None,
+    typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."),
+    FILE_OUTPUT,
 ]
-MODES = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-FEW_TRIALS = 100
+ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
+"""Origin of the injected errors in words, by `errors` of a recovery."""
+MIN_PARALLEL_TRIALS = 100
 """Number of trials below which one process is faster than several."""
 
 
 def recover(
-    scenario: ScenarioName,
-    jobs: RecoverJobs = None,
-    junit: JunitFile = None,
+    scenario: ScenarioArgument,
+    jobs: RecoverJobsOption = None,
+    junit: JunitFileOption = None,
     *,
     terminal: ResultTerminal,
     **options: Any,
@@ -161,25 +168,25 @@ def recover(
     from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
     terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
-    workers = (1 if options["trials"] < FEW_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
-    with terminal.progress("trials", options["trials"]) as step:
+    workers = (1 if options["trials"] < MIN_PARALLEL_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
+    with terminal.show_progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    result = terminal.write(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv()})
+    result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv()})
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
-    terminal.answer(result.content())
+    terminal.print_json(result.content())
     if result.converged > 1:
-        terminal.say(result.table("parameters").text())
+        terminal.print_text(result.table("parameters").text())
     for sentence in result.failure_sentences():
-        streams.write(sentence, sys.stderr)
+        streams.write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
     rate = "" if result.tolerances else f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
-    done = f"{result.trials} trials, errors {MODES[result.errors]}"
-    terminal.say(f"{done}: {result.verdict_text()}{rate}")
+    done = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.errors]}"
+    terminal.print_text(f"{done}: {result.verdict_text()}{rate}")
 
 
-def junit_xml(result: Recovery, suite: str) -> str:
+def junit_xml(result: Recovery, suite_name: str) -> str:
     """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
     checks, unchecked = result.checks, result.unchecked
     failed, seconds = len(result.failed_checks()), result.arrays.run_time
@@ -192,7 +199,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
         "skipped": str(len(unchecked) - lost),
         "time": f"{seconds:.3f}",
     }
-    root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
+    root = Element("testsuite", {"name": f"ltsim recover {suite_name}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=each)
         inside = SubElement(case, "properties")

@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.examples import example_text
-from ltsim.cli.options import ControlledReading, ReadingOptions, Source
+from ltsim.cli.options import ControlledReadingOptions, ReadingOptions, RecordingArgument
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.notation import align_columns
@@ -35,20 +35,24 @@ MpeOption = Annotated[
         "specification of the instrument.",
     ),
 ]
-Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows, and report problems at once.")]
-AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
-Template = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
-BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
+WatchOption = Annotated[
+    bool, typer.Option("--watch", help="Follow a recording that grows, and report problems at once.")
+]
+AcceptanceFileArgument = Annotated[
+    Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")
+]
+ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
+BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL = 1.0
 """Interval [s] between two checks of the files of a growing recording."""
 
 
 def check(
-    source: Source,
+    source: RecordingArgument,
     mpe: MpeOption = None,
-    watch: Watch = False,
+    watch: WatchOption = False,
     *,
-    reading: ControlledReading,
+    reading: ControlledReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
@@ -66,19 +70,19 @@ def check(
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return lt.check(reading.of(source, growing=True), mpe=limit, **options)
+        return lt.check(reading.read(source, is_growing=True), mpe=limit, **options)
 
     if watch:
-        follow(terminal, look, changes(source))
+        watch_recording(terminal, look, wait_for_changes(source))
         return 0
-    recording = reading.open(source, terminal)
-    with terminal.progress("checking"):
+    recording = reading.read_and_report(source, terminal)
+    with terminal.show_progress("checking"):
         result = lt.check(recording, mpe=limit, **options)
     if terminal.out is not None:
-        from ltsim.reports.style import svg  # most checks draw nothing
+        from ltsim.reports.style import svg_text  # most checks draw nothing
 
-        result = write_check(result, terminal.out, {"check.svg": svg(result.plot())})
-    terminal.result(result)
+        result = write_check(result, terminal.out, {"check.svg": svg_text(result.plot())})
+    terminal.print_result(result)
     return 0 if result.passed else 1
 
 
@@ -92,18 +96,18 @@ def mpe_of(text: str | None) -> tuple[float, float] | None:
     return float(parts[0]), float(parts[1])
 
 
-def changes(source: Path) -> Iterator[None]:
+def wait_for_changes(source: Path) -> Iterator[None]:
     """Iterator that yields at once and then whenever a file of the recording has changed."""
     last: tuple[tuple[str, int, int], ...] | None = None
     while True:
-        now = _state(source)
+        now = _file_states(source)
         if now != last:
             last = now
             yield
         time.sleep(POLL_INTERVAL)
 
 
-def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
+def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     state = []
     for file in files:
@@ -115,39 +119,39 @@ def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
     return tuple(state)
 
 
-def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
+def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes: Iterator[None]) -> None:
     """Repeated check of a growing recording, with reports of changes: new failures, and the return to go.
 
     A file that cannot be read or checked yet is tried again at the next step; each reason is reported once.
     """
     reported: set[tuple[str, str, tuple[str, ...]]] = set()
     reasons: set[str] = set()
-    for _ in steps:
+    for _ in changes:
         try:
-            result = look()
+            result = run_check()
         except (RecordError, NetworkError) as problem:
             reason = re.sub(r"\d+", "", str(problem))  # the same reason in another row is not repeated
             if reason not in reasons:
-                terminal.note(f"waiting: {problem}")
+                terminal.print_note(f"waiting: {problem}")
             reasons.add(reason)
             continue
         reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _key(item) not in reported:
-                terminal.print_now(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
-        if (reported and not failed) or not reported.union(map(_key, failed)):
-            terminal.print_now(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported = set(map(_key, failed))
-        if streams.reader_is_gone():
+            if _item_key(item) not in reported:
+                terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
+        if (reported and not failed) or not reported.union(map(_item_key, failed)):
+            terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
+        reported = set(map(_item_key, failed))
+        if streams.is_reader_gone():
             return
 
 
-def _key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
+def _item_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultTerminal) -> int:
+def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False, *, terminal: ResultTerminal) -> int:
     """Predict acceptance tests of a tracker, or evaluate measured errors, against the limits of its specification.
 
     Writes accept.json and accept.csv to --out. Exit status 1 if a measured error exceeds its limit.
@@ -162,14 +166,14 @@ def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultT
     from ltsim.acceptance.files import TESTS_TABLE, AcceptanceFile
 
     terminal.check_overwrite(AcceptanceFile, TESTS_TABLE.file)
-    with terminal.progress("evaluating the tests"):
+    with terminal.show_progress("evaluating the tests"):
         content = lt.accept(file)
-    content = terminal.write(content, lambda: {TESTS_TABLE.file: content.table("tests").csv()})
-    terminal.result(content)
+    content = terminal.write_result(content, lambda: {TESTS_TABLE.file: content.table("tests").csv()})
+    terminal.print_result(content)
     return int(content.kind != "predicted" and content.passes < 1)
 
 
-def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None:
+def bench(file: BenchTableArgument, *, terminal: ResultTerminal, **options: Any) -> None:
     """Estimate a reflector's range error over the angle of incidence from its bench test, with uncertainty.
 
     The table turns the reflector; the first harmonic of the probe is the eccentricity, which is removed from the
@@ -180,28 +184,31 @@ def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None
     from ltsim.adjustment.evaluation.bench import BenchFile
 
     terminal.check_overwrite(BenchFile)
-    content = terminal.write(lt.bench(file, **options))
-    terminal.answer(content.content())
-    terminal.say(repr(content))
-    terminal.say("\n" + content.table().text())
-    terminal.written(terminal.out)
+    content = terminal.write_result(lt.bench(file, **options))
+    terminal.print_json(content.content())
+    terminal.print_text(repr(content))
+    terminal.print_text("\n" + content.table().text())
+    terminal.print_folder(terminal.out)
 
 
-Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
-TaskFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
-TaskSource = Annotated[
+LaterRecordingArgument = Annotated[
+    Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")
+]
+TaskFileArgument = Annotated[Path | None, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
+TaskSourceOption = Annotated[
     str | None, typer.Option("--source", metavar="REC", help="Recording or scenario in place of the source in FILE.")
 ]
-Against = Annotated[
+ComparedResultsOption = Annotated[
     Path | None,
     typer.Option("--against", metavar="FILE", help="Results of another recording or instrument, compared by E_n."),
 ]
-NO_COMMON_RESULT = "no result of the other file has the same task, name and unit"
+NO_COMMON_RESULT_TEXT = "no result of the other file has the same task, name and unit"
+"""Sentence for two results of `uncertainty` without a common task, name and unit."""
 
 
 def compare(
-    source: Source,
-    second: Second,
+    source: RecordingArgument,
+    second: LaterRecordingArgument,
     *,
     reading: ReadingOptions,
     terminal: ResultTerminal,
@@ -221,31 +228,33 @@ def compare(
 
     terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
     lists = is_coordinate_file(source) or is_coordinate_file(second)
-    first, later = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
-    with terminal.progress("comparing"):
+    first, later = (
+        _coordinates_or_path(p, terminal) if lists else reading.read_and_report(p, terminal) for p in (source, second)
+    )
+    with terminal.show_progress("comparing"):
         comparison = lt.compare(first, later, **options)
-    comparison = terminal.write(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv()})
-    terminal.result(comparison)
+    comparison = terminal.write_result(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv()})
+    terminal.print_result(comparison)
     return int(bool(comparison.moved_points))
 
 
-def _listed(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
+def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
     """List of coordinates from a path, with its notes and size printed; the path of any other file."""
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
         return path
     coordinates = read_coordinates(path)
-    terminal.notes(coordinates.notes)
-    terminal.say(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
+    terminal.print_notes(coordinates.notes)
+    terminal.print_text(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
     return coordinates
 
 
 def uncertainty(
-    file: TaskFile = None,
-    source: TaskSource = None,
-    against: Against = None,
-    show: Template = False,
+    file: TaskFileArgument = None,
+    source: TaskSourceOption = None,
+    against: ComparedResultsOption = None,
+    show: ShowTemplateOption = False,
     *,
     terminal: ResultTerminal,
     **options: Any,
@@ -264,51 +273,51 @@ def uncertainty(
     from ltsim.measurands.spec import load_tasks
     from ltsim.measurands.uncertainty import BUDGET_TABLE, RESULTS_TABLE, Uncertainty, normalised_errors_of_files
     from ltsim.recordings.result_file import read_result
-    from ltsim.reports.sections import section_of
+    from ltsim.reports.sections import result_section
 
     terminal.check_overwrite(Uncertainty, RESULTS_TABLE.file, BUDGET_TABLE.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
     drawn = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
-    recording = _recording(terminal, tasks, file, drawn, in_file=source is None)
-    with terminal.progress("drawing trials"):
+    recording = _recording_of_tasks(terminal, tasks, file, drawn, source_is_in_file=source is None)
+    with terminal.show_progress("drawing trials"):
         content = lt.uncertainty(recording, tasks, **options)
     other = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
-    content = terminal.write(content, lambda: {table.file: table.csv() for table in tables})
+    content = terminal.write_result(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
-    terminal.answer(answer)
-    terminal.say("\n" + section_of(content).text())
+    terminal.print_json(answer)
+    terminal.print_text("\n" + result_section(content).terminal_text())
     if other is not None:
         head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]
         text = (
             f"Against the other results (|E_n| up to 1 agrees):\n{align_columns(head, rows)}"
             if other
-            else NO_COMMON_RESULT
+            else NO_COMMON_RESULT_TEXT
         )
-        terminal.say(f"\n{text}")
-    terminal.written(terminal.out)
+        terminal.print_text(f"\n{text}")
+    terminal.print_folder(terminal.out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
-def _recording(
-    terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, in_file: bool
+def _recording_of_tasks(
+    terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
     """Recording of the tasks (simulated for a scenario), or a list of coordinates."""
     from ltsim.recordings.coordinates import is_coordinate_file
 
     name = tasks.source
-    place = file.parent / name if in_file else Path(name)
+    place = file.parent / name if source_is_in_file else Path(name)
     if name in builtin_names() or place.suffix == ".toml":
         chosen = name if name in builtin_names() else place
         recording, _ = lt.simulate(chosen, seed=seed)
-        terminal.say(f"scenario {name}, simulated with seed {seed}")
+        terminal.print_text(f"scenario {name}, simulated with seed {seed}")
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source is {place}, which is neither a recording nor a scenario")
     if is_coordinate_file(place):
-        return _listed(place, terminal)
-    return ReadingOptions().open(place, terminal)
+        return _coordinates_or_path(place, terminal)
+    return ReadingOptions().read_and_report(place, terminal)

@@ -6,26 +6,27 @@ from typing import Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import FramedReading
-from ltsim.cli.places import ANYWHERE, Force, check_file, check_recording
+from ltsim.cli.options import FramedReadingOptions
+from ltsim.cli.places import FILE_OR_FOLDER_OUTPUT, ForceOption, check_new_file, check_recording_folder
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import FORMATS
 from ltsim.recordings.summary import recording_summary
 
-WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
+WRITABLE_FORMATS = ", ".join(f.name for f in FORMATS if f.write is not None)
+"""Names of the formats that ltsim writes, separated by commas."""
 
-Input = Annotated[Path, typer.Argument(metavar="IN", help="A recording in any format that ltsim reads.")]
-Output = Annotated[Path, typer.Argument(metavar="OUT", help="File or folder to write."), ANYWHERE]
-To = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE}.")]
+InputArgument = Annotated[Path, typer.Argument(metavar="IN", help="A recording in any format that ltsim reads.")]
+OutputArgument = Annotated[Path, typer.Argument(metavar="OUT", help="File or folder to write."), FILE_OR_FOLDER_OUTPUT]
+OutputFormatOption = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE_FORMATS}.")]
 
 
 def convert(
-    source: Input,
-    destination: Output,
-    to: To = "native",
+    source: InputArgument,
+    destination: OutputArgument,
+    to: OutputFormatOption = "native",
     *,
-    reading: FramedReading,
-    force: Force = False,
+    reading: FramedReadingOptions,
+    force: ForceOption = False,
     terminal: Terminal,
     **options: Annotated[Any, "convert every"],
 ) -> None:
@@ -38,15 +39,15 @@ def convert(
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
-    (check_recording if to == "native" else check_file)(destination, force)
-    recording = reading.of(source)
-    terminal.notes(recording.notes)
+    (check_recording_folder if to == "native" else check_new_file)(destination, force)
+    recording = reading.read(source)
+    terminal.print_notes(recording.notes)
     recording = lt.convert(recording, destination, to=to, **options)
     topics = recording_summary(recording)
-    terminal.answer({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
-    terminal.say(recording.headline)
+    terminal.print_json({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
+    terminal.print_text(recording.headline)
     width = max(map(len, topics))
-    terminal.say("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
+    terminal.print_text("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
     assumed = f"see the {len(recording.notes)} notes above" if recording.notes else "nothing"
-    terminal.say(f"  {'assumed':{width}}  {assumed}")
-    terminal.say(f"written to {destination} ({to})")
+    terminal.print_text(f"  {'assumed':{width}}  {assumed}")
+    terminal.print_text(f"written to {destination} ({to})")

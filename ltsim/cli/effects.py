@@ -13,18 +13,23 @@ from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effec
 from ltsim.physics.effects.catalogue import BUILTIN_ORIGIN
 from ltsim.physics.effects.effect import ShapeParameter
 
-Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of an effect; default a list of all.")]
+EffectNameArgument = Annotated[
+    str | None, typer.Argument(metavar="[NAME]", help="Name of an effect; default a list of all.")
+]
 
-WIDTH = 110
-INDENT = 13
-CONVENTIONS = (
+TEXT_WIDTH = 110
+"""Largest length of a line of a catalogue entry [characters]."""
+LABEL_WIDTH = 13
+"""Width of the column of labels of a catalogue entry [characters]."""
+CONVENTIONS_TEXT = (
     "Delta is truth - reading. az counts counter-clockwise, el from the horizontal plane, d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. Two numbers, as in\n"
     "0.46 / 0.95, are correlations of the residuals in the reference workshop in one face and in two."
 )
+"""Definition of the symbols in the equations of the catalogue."""
 
 
-def effects(name: Name = None, *, terminal: Terminal) -> None:
+def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
     """List the physical effects that can be simulated, calibrated and diagnosed, or print the entry of one.
 
     Effects of other installed packages are listed last, with the name of the package.
@@ -33,29 +38,29 @@ def effects(name: Name = None, *, terminal: Terminal) -> None:
     """
     if name is not None:
         effect = find_effect(name)
-        terminal.answer(entry(effect))
-        terminal.say(card(effect))
+        terminal.print_json(catalogue_entry_json(effect))
+        terminal.print_text(catalogue_entry_text(effect))
         return
-    terminal.answer([entry(effect) for effect in CATALOGUE])
+    terminal.print_json([catalogue_entry_json(effect) for effect in CATALOGUE])
     group = ""
-    rows = [[effect.name, _about(effect)] for effect in CATALOGUE]
+    rows = [[effect.name, _title_and_cause(effect)] for effect in CATALOGUE]
     width = max(len(name) for name, _ in rows)
     for (name, about), listed in zip(rows, CATALOGUE.entries.values(), strict=True):
         if listed.group != group:
             group = listed.group
-            terminal.say(f"\n{group}" if name != rows[0][0] else group)
-        terminal.say(
+            terminal.print_text(f"\n{group}" if name != rows[0][0] else group)
+        terminal.print_text(
             f"  {name:<{width}}  {about}" + (f" [{listed.provider}]" if listed.provider != BUILTIN_ORIGIN else "")
         )
-    terminal.say(f"\n{len(rows)} effects. Details of an effect: ltsim effects NAME")
+    terminal.print_text(f"\n{len(rows)} effects. Details of an effect: ltsim effects NAME")
 
 
-def _about(effect: type[Effect]) -> str:
-    card = catalogue_entry(effect)
-    return f"{card.title}: {card.cause_description}"
+def _title_and_cause(effect: type[Effect]) -> str:
+    listed = catalogue_entry(effect)
+    return f"{listed.title}: {listed.cause_description}"
 
 
-def entry(effect: type[Effect]) -> dict[str, Any]:
+def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
     """Catalogue entry of an effect as data for JSON."""
     listed, about = CATALOGUE.entries[effect.name], catalogue_entry(effect)
     return {
@@ -85,19 +90,19 @@ def entry(effect: type[Effect]) -> dict[str, Any]:
                 "name": s.name,
                 "unit": s.unit,
                 "meaning": s.description,
-                "low": _shown(s.lower_bound, s),
-                "high": _shown(s.upper_bound, s),
+                "low": _to_display_unit(s.lower_bound, s),
+                "high": _to_display_unit(s.upper_bound, s),
             }
             for s in effect.shape_parameters
         ],
     }
 
 
-def _shown(value: float, shape: ShapeParameter) -> float:
-    return value / SI_PER_UNIT[shape.unit]
+def _to_display_unit(value: float, shape_parameter: ShapeParameter) -> float:
+    return value / SI_PER_UNIT[shape_parameter.unit]
 
 
-def card(effect: type[Effect]) -> str:
+def catalogue_entry_text(effect: type[Effect]) -> str:
     """Catalogue entry of an effect as text."""
     about, listed = catalogue_entry(effect), CATALOGUE.entries[effect.name]
     lines = [
@@ -111,7 +116,9 @@ def card(effect: type[Effect]) -> str:
     sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
     sections += [("Comes from", listed.provider)] if listed.provider != BUILTIN_ORIGIN else []
     for name, text in sections:
-        lines += textwrap.wrap(f"{name:<{INDENT}}{text}", WIDTH, subsequent_indent=" " * INDENT, break_on_hyphens=False)
+        lines += textwrap.wrap(
+            f"{name:<{LABEL_WIDTH}}{text}", TEXT_WIDTH, subsequent_indent=" " * LABEL_WIDTH, break_on_hyphens=False
+        )
     if effect.parameters:
         rows = [
             [p.name, f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, p.description] for p in effect.parameters
@@ -119,8 +126,13 @@ def card(effect: type[Effect]) -> str:
         lines += ["", align_columns(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
     if effect.shape_parameters:
         rows = [
-            [s.name, f"{_shown(s.lower_bound, s):.4g} to {_shown(s.upper_bound, s):.4g}", s.unit, s.description]
+            [
+                s.name,
+                f"{_to_display_unit(s.lower_bound, s):.4g} to {_to_display_unit(s.upper_bound, s):.4g}",
+                s.unit,
+                s.description,
+            ]
             for s in effect.shape_parameters
         ]
         lines += ["", align_columns(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
-    return "\n".join([*lines, "", CONVENTIONS])
+    return "\n".join([*lines, "", CONVENTIONS_TEXT])

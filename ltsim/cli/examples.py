@@ -8,13 +8,15 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.places import FOLDER, Force, check_file
+from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_new_file
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings.files import write_texts
 from ltsim.simulation.builtin import builtin_text
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to."), FOLDER]
-TRY = {
+ExamplesFolderArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder to write to."), COMMAND_CHECKED_OUTPUT
+]
+EXAMPLE_COMMANDS = {
     "survey.csv": "ltsim diagnose survey.csv --frame hall.csv --out diagnosis",
     "hall.csv": "",
     "workshop.toml": "ltsim simulate workshop.toml --seed 7 --out recording",
@@ -39,18 +41,26 @@ def example_text(name: str) -> str:
     return place.read_text(encoding="utf-8")
 
 
-def examples(folder: Folder = Path("ltsim-examples"), force: Force = False, *, terminal: Terminal) -> None:
+def examples(
+    folder: ExamplesFolderArgument = Path("ltsim-examples"), force: ForceOption = False, *, terminal: Terminal
+) -> None:
     """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, notebooks.
 
     Every file is commented; a command to try is printed for each. Jupyter is not part of ltsim.
 
     Example: ltsim examples my-folder
     """
-    for name in TRY:
-        check_file(folder / name, force=force)
-    write_texts(folder, {name: example_text(name) for name in TRY})
-    terminal.answer({"folder": str(folder), "files": list(TRY), "commands": [line for line in TRY.values() if line]})
-    terminal.say(f"written to {folder}; try there:")
-    width = max(map(len, TRY))
-    for name, command in TRY.items():
-        terminal.say(f"  {name:{width}}  {command}".rstrip())
+    for name in EXAMPLE_COMMANDS:
+        check_new_file(folder / name, force=force)
+    write_texts(folder, {name: example_text(name) for name in EXAMPLE_COMMANDS})
+    terminal.print_json(
+        {
+            "folder": str(folder),
+            "files": list(EXAMPLE_COMMANDS),
+            "commands": [line for line in EXAMPLE_COMMANDS.values() if line],
+        }
+    )
+    terminal.print_text(f"written to {folder}; try there:")
+    width = max(map(len, EXAMPLE_COMMANDS))
+    for name, command in EXAMPLE_COMMANDS.items():
+        terminal.print_text(f"  {name:{width}}  {command}".rstrip())

@@ -12,23 +12,26 @@ import typer
 from typer.core import TyperGroup
 
 from ltsim.cli import streams
-from ltsim.cli.options import command_of
+from ltsim.cli.options import typer_command
 from ltsim.core.errors import LtsimError, StoppedError, options_are_flags
 
-BAD_INPUT = 2
-UNEXPECTED = 70
-INTERRUPTED = 130
-UNWRITABLE = (
+INVALID_INPUT_STATUS = 2
+"""Exit status after invalid input or wrong usage."""
+INTERNAL_ERROR_STATUS = 70
+"""Exit status after an internal error."""
+INTERRUPTED_STATUS = 130
+"""Exit status after an interruption by the user, 128 plus the number of the signal."""
+UNWRITABLE_OUTPUT_ERRNOS = (
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBADF,
     errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
 """Error numbers of the operating system for output that cannot be written."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
-UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 # To add a verb: a function of its name in one of these modules, and one line here.
-VERBS = {
+COMMANDS = {
     "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
     "simulate": ("simulate", "simulate one recording of a virtual workshop"),
@@ -54,63 +57,64 @@ VERBS = {
     "view": ("view", "show the workshop in 3D"),
 }
 """Module and help line of each command."""
-SETTINGS: dict[str, Any] = {
+TYPER_SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
+"""Settings of Typer for the program and for each command."""
 
 
-def verb_of(name: str) -> Callable[..., Any]:
+def command_function(name: str) -> Callable[..., Any]:
     """Function of a command; its module is imported on first use."""
-    function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{VERBS[name][0]}"), name)
+    function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{COMMANDS[name][0]}"), name)
     return function
 
 
-class Verbs(TyperGroup):
+class CommandGroup(TyperGroup):
     """Group of commands that are imported on first use, so that help and simple commands start fast."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands = dict.fromkeys(VERBS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
+        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of the commands in the order of the help."""
-        return list(VERBS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Command by its name; None for an unknown name."""
-        if cmd_name not in VERBS:
+        if cmd_name not in COMMANDS:
             return None
-        verb = typer.Typer(add_completion=False, **SETTINGS)
-        verb.command(cmd_name)(command_of(cmd_name, verb_of(cmd_name)))
+        verb = typer.Typer(add_completion=False, **TYPER_SETTINGS)
+        verb.command(cmd_name)(typer_command(cmd_name, command_function(cmd_name)))
         return typer.main.get_command(verb)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Help with one line per command."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, about) for name, (_, about) in VERBS.items()])
+            formatter.write_dl([(name, about) for name, (_, about) in COMMANDS.items()])
 
 
-app = typer.Typer(cls=Verbs, name="ltsim", no_args_is_help=True, **SETTINGS)
+app = typer.Typer(cls=CommandGroup, name="ltsim", no_args_is_help=True, **TYPER_SETTINGS)
 
 
-def show_version(asked: bool) -> None:
+def print_version(is_requested: bool) -> None:
     """Output of the version, after which the program ends."""
-    if asked:
+    if is_requested:
         from importlib.metadata import version
 
-        streams.write(f"ltsim {version('ltsim')}", sys.stdout)
+        streams.write_line(f"ltsim {version('ltsim')}", sys.stdout)
         raise typer.Exit
 
 
-Version = Annotated[
-    bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
+VersionOption = Annotated[
+    bool, typer.Option("--version", callback=print_version, is_eager=True, help="Print the version and stop.")
 ]
 
 
 @app.callback()
-def ltsim(version: Version = False) -> None:
+def ltsim(version: VersionOption = False) -> None:
     """Simulate, calibrate, plan and diagnose laser-tracker networks."""
 
 
@@ -123,58 +127,62 @@ def run(arguments: Sequence[str]) -> int:
     try:
         with options_are_flags():
             status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
-        streams.flush()
-    except UsageProblem as problem:
-        return _refuse(_usage_sentence(problem))
+        streams.flush_streams()
+    except UsageError as problem:
+        return _report_invalid_input(_usage_error_sentence(problem))
     except StoppedError as stop:
-        return _interrupted(str(stop))
+        return _report_interruption(str(stop))
     except LtsimError as problem:
-        return _refuse(str(problem))
+        return _report_invalid_input(str(problem))
     except (BrokenPipeError, SystemExit):
         # The reader of the pipe has closed it (`| head`); Typer exits for that reason only.
-        streams.drop(sys.stdout)
+        streams.discard_output(sys.stdout)
         return 0
     except (KeyboardInterrupt, typer.Abort):
-        return _interrupted()
+        return _report_interruption()
     except Exception as problem:
-        return _failed(problem)
+        return _report_failure(problem)
     # Typer turns an interruption into this status and says nothing.
-    return _interrupted() if status == INTERRUPTED else status if isinstance(status, int) else 0
+    return _report_interruption() if status == INTERRUPTED_STATUS else status if isinstance(status, int) else 0
 
 
-def _interrupted(remark: str = "no partial file remains") -> int:
-    streams.write(f"interrupted; {remark}", sys.stderr)
-    return INTERRUPTED
+def _report_interruption(remark: str = "no partial file remains") -> int:
+    """Exit status after an interruption; prints a remark."""
+    streams.write_line(f"interrupted; {remark}", sys.stderr)
+    return INTERRUPTED_STATUS
 
 
-def _failed(problem: Exception) -> int:
-    """Exit status of an internal error, or of output that cannot be written, such as to a full disk."""
-    if isinstance(problem, OSError) and problem.errno in UNWRITABLE:
-        streams.drop(sys.stdout)
-        return _refuse(f"{problem.filename or 'the output'} cannot be written ({problem.strerror})")
-    streams.write("".join(traceback.format_exception(problem)).rstrip(), sys.stderr)
-    cause = "the memory is not sufficient" if isinstance(problem, MemoryError) else "internal error of ltsim"
-    streams.write(f"error: {cause} ({type(problem).__name__}); please report it with the lines above", sys.stderr)
-    return UNEXPECTED
+def _report_failure(error: Exception) -> int:
+    """Exit status after an internal error, or after output that cannot be written, such as to a full disk.
+
+    Prints the error.
+    """
+    if isinstance(error, OSError) and error.errno in UNWRITABLE_OUTPUT_ERRNOS:
+        streams.discard_output(sys.stdout)
+        return _report_invalid_input(f"{error.filename or 'the output'} cannot be written ({error.strerror})")
+    streams.write_line("".join(traceback.format_exception(error)).rstrip(), sys.stderr)
+    cause = "the memory is not sufficient" if isinstance(error, MemoryError) else "internal error of ltsim"
+    streams.write_line(f"error: {cause} ({type(error).__name__}); please report it with the lines above", sys.stderr)
+    return INTERNAL_ERROR_STATUS
 
 
-def _usage_sentence(problem: Any) -> str:
+def _usage_error_sentence(error: Any) -> str:
     """Sentence on wrong usage, with the command that prints help."""
-    context = getattr(problem, "ctx", None)
+    context = getattr(error, "ctx", None)
     place = context.command_path if context is not None else "ltsim"
-    message = str(problem.format_message()).rstrip(".")
+    message = str(error.format_message()).rstrip(".")
     return f"{place}: {message}; see {place} --help" if message else f"see {place} --help"
 
 
-def _refuse(message: str) -> int:
-    streams.write("error: " + " ".join(message.split()), sys.stderr)
-    return BAD_INPUT
+def _report_invalid_input(message: str) -> int:
+    streams.write_line("error: " + " ".join(message.split()), sys.stderr)
+    return INVALID_INPUT_STATUS
 
 
 def main() -> None:
     """Entry point of the installed command."""
-    streams.prepare()
+    streams.prepare_streams()
     gc.set_threshold(50_000, 10, 10)  # collecting garbage took a tenth of the time of a page
     status = run(sys.argv[1:])
-    streams.flush()
+    streams.flush_streams()
     sys.exit(status)

@@ -23,13 +23,13 @@ from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
 
-Source = Annotated[
+RecordingArgument = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
 ]
-_IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or its folder.")
-CalibrationFile = Annotated[Path, _IN_FILE]
-OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
-Jobs = Annotated[
+_CALIBRATION_OPTION = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or its folder.")
+CalibrationFileOption = Annotated[Path, _CALIBRATION_OPTION]
+OptionalCalibrationFileOption = Annotated[Path | None, _CALIBRATION_OPTION]
+JobsOption = Annotated[
     int,
     typer.Option(
         "--jobs",
@@ -39,10 +39,10 @@ Jobs = Annotated[
         help="Number of processes; the result does not depend on it.",
     ),
 ]
-FormatName = Annotated[
+FormatNameOption = Annotated[
     str | None, typer.Option("--format", metavar="NAME", help="Format of REC; default by its content.")
 ]
-HintList = Annotated[
+HintsOption = Annotated[
     list[str] | None,
     typer.Option(
         "--hint",
@@ -51,7 +51,7 @@ HintList = Annotated[
         "points=FILE, setup=FILE, station=NAME.",
     ),
 ]
-ColumnMap = Annotated[
+ColumnsOption = Annotated[
     str | None,
     typer.Option(
         "--columns",
@@ -59,7 +59,7 @@ ColumnMap = Annotated[
         help='Roles of the columns of a table, e.g. "target=Name,azimuth=Hz[gon],zenith=V[gon],distance=D[m]".',
     ),
 ]
-FrameFile = Annotated[
+FrameFileOption = Annotated[
     Path | None,
     typer.Option(
         "--frame",
@@ -69,7 +69,7 @@ FrameFile = Annotated[
         'origin = "T01", x_axis = "T02", xy_plane = "T03".',
     ),
 ]
-ControlFile = Annotated[
+ControlFileOption = Annotated[
     Path | None,
     typer.Option(
         "--control",
@@ -80,12 +80,12 @@ ControlFile = Annotated[
 ]
 
 
-def names_of(listed: str | None) -> tuple[str, ...] | None:
+def split_names(text: str | None) -> tuple[str, ...] | None:
     """Names from a comma-separated list; None for None."""
-    return None if listed is None else tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip()))
+    return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
 
 
-def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bool = False) -> Hints:
+def hints_from_texts(pairs: list[str] | None, columns: str | None = None, *, is_growing: bool = False) -> Hints:
     """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
@@ -99,40 +99,41 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
         if choices and value not in choices:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
         given[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**given, columns=columns, incomplete_tail=growing)
+    return Hints(**given, columns=columns, incomplete_tail=is_growing)
 
 
 @dataclass(frozen=True)
 class ReadingOptions:
     """Options for reading a recording."""
 
-    format_name: FormatName = None
-    hint: HintList = None
-    columns: ColumnMap = None
+    format_name: FormatNameOption = None
+    hint: HintsOption = None
+    columns: ColumnsOption = None
 
-    def of(self, path: Path, *, growing: bool = False) -> Recording:
-        """The recording at `path`, which may still be `growing`; raises RecordError."""
+    def read(self, path: Path, *, is_growing: bool = False) -> Recording:
+        """The recording at `path`, which may still be growing; raises RecordError."""
         from ltsim.recordings import read
 
-        return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns, growing=growing))
+        hints = hints_from_texts(self.hint, self.columns, is_growing=is_growing)
+        return read(path, format=self.format_name, hints=hints)
 
-    def open(self, path: Path, terminal: Terminal) -> Recording:
+    def read_and_report(self, path: Path, terminal: Terminal) -> Recording:
         """The recording at `path`; its notes and its size are printed; raises RecordError."""
-        recording = self.of(path)
-        terminal.notes(recording.notes)
-        terminal.say(recording.headline)
+        recording = self.read(path)
+        terminal.print_notes(recording.notes)
+        terminal.print_text(recording.headline)
         return recording
 
 
 @dataclass(frozen=True)
-class ControlledReading(ReadingOptions):
+class ControlledReadingOptions(ReadingOptions):
     """Options for reading a recording with control points."""
 
-    control: ControlFile = None
+    control: ControlFileOption = None
 
-    def of(self, path: Path, *, growing: bool = False) -> Recording:
+    def read(self, path: Path, *, is_growing: bool = False) -> Recording:
         """The recording, with the points of `control` if given; raises RecordError."""
-        recording = super().of(path, growing=growing)
+        recording = super().read(path, is_growing=is_growing)
         if self.control is None:
             return recording
         from ltsim.adjustment.axes import with_control_points
@@ -141,61 +142,61 @@ class ControlledReading(ReadingOptions):
 
 
 @dataclass(frozen=True)
-class FramedReading(ControlledReading):
+class FramedReadingOptions(ControlledReadingOptions):
     """Options for reading a recording with control points and the axes of the results."""
 
-    frame: FrameFile = None
+    frame: FrameFileOption = None
 
-    def of(self, path: Path, *, growing: bool = False) -> Recording:
+    def read(self, path: Path, *, is_growing: bool = False) -> Recording:
         """The recording, in the axes of `frame` if given; raises RecordError."""
-        recording = super().of(path, growing=growing)
-        return recording if self.frame is None else in_axes(recording, self.frame)
+        recording = super().read(path, is_growing=is_growing)
+        return recording if self.frame is None else with_axes_of_frame(recording, self.frame)
 
 
-def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
+def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """Function for Typer: groups of options expanded, `**options` replaced by parameters of public functions.
 
     These are the parameters of `lt.NAME`, or of the functions in the annotation of `**options`, each optionally
     followed by the parameters to use; parameters that the verb declares itself are skipped.
     """
-    hints = get_type_hints(verb, include_extras=True)
+    hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {key: group for key, group in hints.items() if is_dataclass(group)}
-    declared = inspect.signature(verb).parameters
+    declared = inspect.signature(function).parameters
     single: list[inspect.Parameter] = []
     taken: list[FunctionOption] = []
     for key, parameter in declared.items():
         if key in groups:
             kinds = get_type_hints(groups[key], include_extras=True)
-            single += [_option(f.name, kinds[f.name], f.default) for f in fields(groups[key])]
+            single += [_keyword_parameter(f.name, kinds[f.name], f.default) for f in fields(groups[key])]
         elif parameter.kind is parameter.VAR_KEYWORD:
             sources = [text.split() for text in get_args(hints[key])[1:]] or [[name]]
             taken = [
                 o for source, *wanted in sources for o in function_options(source, wanted) if o.name not in declared
             ]
         else:
-            single.append(_option(key, hints[key], parameter.default))
-    outputs = list(_outputs(single))
+            single.append(_keyword_parameter(key, hints[key], parameter.default))
+    outputs = list(_output_options(single))
     at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
-    single[at:at] = [option.parameter for option in taken]
+    single[at:at] = [option.typer_parameter for option in taken]
 
     def run(**given: Any) -> Any:
         places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
         check_outputs(places, force=given.get("force", False))
-        if given.get("as_json") and streams.output_is_closed():
+        if given.get("as_json") and streams.is_output_closed():
             raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
-        return verb(**given | {option.name: option.value(given[option.name]) for option in taken})
+        return function(**given | {option.name: option.argument_value(given[option.name]) for option in taken})
 
-    run.__doc__ = verb.__doc__
+    run.__doc__ = function.__doc__
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
     run.__signature__ = inspect.Signature(single)  # type: ignore[attr-defined]
     return run
 
 
-def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
+def _output_options(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
     """Options and arguments for outputs: name, spelling and annotation."""
-    for option in options:
+    for option in parameters:
         marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, OutputPlace)]
         if marks:
             declared: Any = get_args(option.annotation)[1]
@@ -203,26 +204,28 @@ def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, Outpu
             yield option.name, flags[0] if flags else declared.metavar, marks[0]
 
 
-def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
-LARGEST = 1e12
+MAX_MAPPING_NUMBER = 1e12
 """Largest magnitude of a number in an option that is a mapping."""
-SHORT = {"trials": "-n", "jobs": "-j"}
-METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
+SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
+"""Short spelling of an option, by the name of its parameter."""
+METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
+"""Placeholder of the value in the help, by the name of the parameter."""
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     value = float(text)
-    if not abs(value) <= LARGEST:
+    if not abs(value) <= MAX_MAPPING_NUMBER:
         raise ValueError
     return value
 
 
-def _toml(text: str) -> Any:
+def _parse_toml_value(text: str) -> Any:
     """Value of a TOML text; the text itself if it is not valid TOML."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
@@ -230,22 +233,18 @@ def _toml(text: str) -> Any:
         return text
 
 
-def _place(text: str) -> tuple[float, ...]:
-    place = tuple(_number(part) for part in text.split(","))
+def _parse_place(text: str) -> tuple[float, ...]:
+    place = tuple(_parse_number(part) for part in text.split(","))
     if len(place) not in (2, 3, 4):
         raise ValueError
     return place
 
 
-MAPPINGS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
-    "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _number),
+MAPPING_OPTIONS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
+    "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _parse_number),
     "tolerance": ("NAME=QUANTITY", "NAME=QUANTITY, such as beam-tilt='2 urad'", lambda text: text.strip("'\"")),
-    "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
-    "move": (
-        "STATION=X,Y[,Z[,YAW]]",
-        MOVE_SYNTAX,
-        _place,
-    ),
+    "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _parse_toml_value),
+    "move": ("STATION=X,Y[,Z[,YAW]]", MOVE_SYNTAX, _parse_place),
 }
 """Options that are mappings: metavar, text for the error message, parser of a value."""
 
@@ -255,16 +254,16 @@ class FunctionOption:
     """Parameter of a public function as an option: default from its signature, help from its docstring."""
 
     name: str
-    kind: str
+    annotation: str
     default: Any
     help: str
-    of: str
+    docstring_type: str
     """Type in the docstring, which may list choices."""
 
     @property
     def choices(self) -> list[str]:
         """Allowed values, if the docstring lists them: {`mm`, `m`}."""
-        return re.findall(r"`([^`]+)`", self.of) if self.of.startswith("{") else []
+        return re.findall(r"`([^`]+)`", self.docstring_type) if self.docstring_type.startswith("{") else []
 
     @property
     def flag(self) -> str:
@@ -272,54 +271,54 @@ class FunctionOption:
         return FLAG_SPELLINGS.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
 
     @property
-    def several(self) -> bool:
+    def is_repeatable(self) -> bool:
         """True if the option can be repeated."""
-        return self.name in MAPPINGS or "Effect" in self.kind or self.kind.startswith("Sequence")
+        return self.name in MAPPING_OPTIONS or "Effect" in self.annotation or self.annotation.startswith("Sequence")
 
     @property
-    def names(self) -> bool:
+    def is_name_list(self) -> bool:
         """True if the value is a comma-separated list of names."""
-        return not self.several and "Sequence[str]" in self.kind
+        return not self.is_repeatable and "Sequence[str]" in self.annotation
 
     @property
-    def parameter(self) -> inspect.Parameter:
+    def typer_parameter(self) -> inspect.Parameter:
         """The option as a parameter for Typer."""
-        words = [self.flag, *([SHORT[self.name]] if self.name in SHORT else [])]
-        kind: Any = float if "float" in self.kind else int if "int" in self.kind else str
-        metavar = MAPPINGS[self.name][0] if self.name in MAPPINGS else METAVARS.get(self.name)
-        if self.kind.startswith("bool"):
+        words = [self.flag, *([SHORT_FLAGS[self.name]] if self.name in SHORT_FLAGS else [])]
+        kind: Any = float if "float" in self.annotation else int if "int" in self.annotation else str
+        metavar = MAPPING_OPTIONS[self.name][0] if self.name in MAPPING_OPTIONS else METAVARIABLES.get(self.name)
+        if self.annotation.startswith("bool"):
             kind = bool
             words = words if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
         elif self.choices:
             kind, metavar = str, f"[{'|'.join(self.choices)}]"
-        elif self.names:
+        elif self.is_name_list:
             metavar = "NAME,..."
         elif self.name in ARGUMENT_BOUNDS:
             metavar = f"NUMBER: {range_text(self.name)}"
         elif metavar is None:
-            metavar = "FILE" if "Path" in self.kind else "NAME" if kind is str else "N"
+            metavar = "FILE" if "Path" in self.annotation else "NAME" if kind is str else "N"
         default = self.default
-        if self.several or default is None or default == ():
-            kind, default = (list[str] if self.several else kind) | None, None
+        if self.is_repeatable or default is None or default == ():
+            kind, default = (list[str] if self.is_repeatable else kind) | None, None
         complete = (lambda: self.choices) if self.choices else None
         parser = bounded_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
         option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete, parser=parser)
-        return _option(self.name, Annotated[kind, option], default)
+        return _keyword_parameter(self.name, Annotated[kind, option], default)
 
-    def value(self, given: Any) -> Any:
+    def argument_value(self, command_line_value: Any) -> Any:
         """Argument of the function from the value on the command line; raises SetupError for an invalid value."""
-        if given is None or given == []:
+        if command_line_value is None or command_line_value == []:
             return self.default
         if self.choices:
-            check_choice(self.name, given, self.choices)
-        if self.name in MAPPINGS:
-            return dict(self._pair(text) for text in given)
-        if self.names:
-            return names_of(given)
-        return tuple(given) if self.several else given
+            check_choice(self.name, command_line_value, self.choices)
+        if self.name in MAPPING_OPTIONS:
+            return dict(self._parse_pair(text) for text in command_line_value)
+        if self.is_name_list:
+            return split_names(command_line_value)
+        return tuple(command_line_value) if self.is_repeatable else command_line_value
 
-    def _pair(self, text: str) -> tuple[str, Any]:
-        _, form, read = MAPPINGS[self.name]
+    def _parse_pair(self, text: str) -> tuple[str, Any]:
+        _, form, read = MAPPING_OPTIONS[self.name]
         key, _, value = (part.strip() for part in text.partition("="))
         try:
             if key and value:
@@ -329,44 +328,48 @@ class FunctionOption:
         raise SetupError(f"{self.flag} {text}: expected {form}")
 
 
-def function_options(function: str, wanted: list[str]) -> list[FunctionOption]:
-    """Keyword parameters of a public function, or the `wanted` ones.
+def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:
+    """Keyword parameters of a public function, or the `parameter_names` ones.
 
     The source is parsed, not imported, so that help is fast.
     """
-    tree = _source(lt._HOME[function])
-    node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function)
-    meanings = dict(_meanings(inspect.cleandoc(ast.get_docstring(node) or "")))
+    tree = _module_syntax_tree(lt._HOME[function_name])
+    node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function_name)
+    meanings = dict(_documented_parameters(inspect.cleandoc(ast.get_docstring(node) or "")))
     options = []
     for argument, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
-        value = _constant(tree, default.id) if isinstance(default, ast.Name) else default
-        if (wanted and name not in wanted) or name in PYTHON_ONLY or not isinstance(value, ast.Constant | ast.Tuple):
+        value = _constant_value(tree, default.id) if isinstance(default, ast.Name) else default
+        if (
+            (parameter_names and name not in parameter_names)
+            or name in PYTHON_ONLY
+            or not isinstance(value, ast.Constant | ast.Tuple)
+        ):
             continue
         of, text = meanings[name]
         if other := re.search(r"[Aa]s of `(\w+)`", text):
             like = {option.name: option for option in function_options(other[1], [name])}
-            of, text = like[name].of, like[name].help
+            of, text = like[name].docstring_type, like[name].help
         options.append(FunctionOption(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
     return options
 
 
-def _source(module: str) -> ast.Module:
+def _module_syntax_tree(module: str) -> ast.Module:
     """Syntax tree of a module of ltsim, named without the package."""
     return ast.parse((Path(lt.__file__).parent / f"{module.replace('.', '/')}.py").read_text("utf-8"))
 
 
-def _constant(tree: ast.Module, name: str) -> ast.expr | None:
+def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
     """Value of a constant that a module of ltsim defines or imports from another one."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return node.value
         if isinstance(node, ast.ImportFrom) and name in {alias.name for alias in node.names}:
-            return _constant(_source((node.module or "").removeprefix("ltsim.")), name)
+            return _constant_value(_module_syntax_tree((node.module or "").removeprefix("ltsim.")), name)
     return None
 
 
-def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
+def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
     """Names of the parameters in a numpy docstring, each with its type and text."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
     entries = re.split(r"\n(?=\S)", section[1]) if section else []
@@ -377,21 +380,21 @@ def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
             yield name.strip(), (of, " ".join(text.split()))
 
 
-def in_axes(recording: Recording, frame: Path) -> Recording:
+def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
     """The recording with its datum in the axes of a file or of a built-in scenario; raises RecordError, SetupError."""
-    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
+    from ltsim.adjustment.axes import with_axes_of_points, with_axes_of_three
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml
     from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return in_axes_of_points(recording, read_points(frame, strict=False).by_name, str(frame))
+            return with_axes_of_points(recording, read_points(frame, strict=False).by_name, str(frame))
         named = read_toml(frame, "frame")
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
-            return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
+            return with_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
     from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.workshop import planned_layout
 
     layout = planned_layout(load_scenario(str(frame)))
-    return in_axes_of_points(recording, dict(zip(layout.target_names, layout.target_points, strict=True)), str(frame))
+    return with_axes_of_points(recording, dict(zip(layout.target_names, layout.target_points, strict=True)), str(frame))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Jobs, ReadingOptions
-from ltsim.cli.places import FOLDER, Force, check_overwrite
+from ltsim.cli.options import JobsOption, ReadingOptions
+from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
@@ -22,48 +22,52 @@ if TYPE_CHECKING:
     from ltsim.planning.verbs import StationAlternative
     from ltsim.recordings import Recording
 
-PlanSource = Annotated[
+PlanSourceArgument = Annotated[
     str | None,
     typer.Argument(metavar="FILE", help="A plan file, a scenario file, or the name of a built-in one."),
 ]
-PlanOut = Annotated[
+PlanFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
-    FOLDER,
+    COMMAND_CHECKED_OUTPUT,
 ]
-Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
-After = Annotated[
+ShowPlanOption = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
+AfterOption = Annotated[
     Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
 ]
-Between = Annotated[
+BetweenOption = Annotated[
     str | None,
     typer.Option(
         "--between", metavar="A,B", help="With --after: effects to discriminate; default from a diagnosis of REC."
     ),
 ]
-Without = Annotated[
+WithoutOption = Annotated[
     str | None,
     typer.Option(
         "--without", metavar="STATION", help="List other places for a station, with the other stations fixed."
     ),
 ]
-SO_FAR = "best-so-far.toml"
-FLOOR = "floor.png"
-TRADE_OFF = "tradeoff.png"
-PAGE = "work-order.html"
+BEST_LAYOUT_FILE = "best-so-far.toml"
+"""Name of the file of the best layout during a search."""
+FLOOR_PLAN_FILE = "floor.png"
+"""Name of the picture of the floor plan."""
+TRADE_OFF_FILE = "tradeoff.png"
+"""Name of the picture of quality over time."""
+WORK_ORDER_FILE = "work-order.html"
+"""Name of the page of the work order."""
 
 
 def plan(
-    source: PlanSource = None,
-    out: PlanOut = None,
-    jobs: Jobs = 2,
-    show: Show = False,
-    after: After = None,
-    between: Between = None,
-    without: Without = None,
+    source: PlanSourceArgument = None,
+    out: PlanFolderOption = None,
+    jobs: JobsOption = 2,
+    show: ShowPlanOption = False,
+    after: AfterOption = None,
+    between: BetweenOption = None,
+    without: WithoutOption = None,
     *,
     reading: ReadingOptions,
-    force: Force = False,
+    force: ForceOption = False,
     terminal: Terminal,
     **options: Any,
 ) -> None:
@@ -86,13 +90,13 @@ def plan(
         if source is not None:
             raise SetupError("ltsim plan needs either FILE or --after REC, not both")
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
-        return _after(terminal, reading.of(after), _explanations(between), out)
+        return _propose_next_measurement(terminal, reading.read(after), _effect_names(between), out)
     if between is not None:
         raise SetupError("--between needs --after REC, the recording that has several explanations")
     if source is None:
         raise SetupError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
     if show:
-        terminal.show(plan_text(source))
+        terminal.print_always(plan_text(source))
         return None
     changes = options.pop("move")
     if without is not None and (changes or out is not None):
@@ -100,22 +104,25 @@ def plan(
             "--without lists places for a station and takes neither --move nor --out; use --move to evaluate a place"
         )
     if without is not None:
-        return _show_places(terminal, source, lt.station_alternatives(source, without))
+        return _print_station_alternatives(terminal, source, lt.station_alternatives(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     check_overwrite(
-        folder, Plan, (*(table.file for table in PLAN_TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
+        folder,
+        Plan,
+        (*(table.file for table in PLAN_TABLES), "scenario.toml", FLOOR_PLAN_FILE, TRADE_OFF_FILE, WORK_ORDER_FILE),
+        force=force,
     )
     if changes:
-        with terminal.progress("judging the layout"):
+        with terminal.show_progress("judging the layout"):
             made = lt.plan(source, move=changes)
     else:
-        made = _searched(terminal, source, folder, {"jobs": jobs, **options})
-    return _write(terminal, made, folder)
+        made = _search_plan(terminal, source, folder, {"jobs": jobs, **options})
+    return _write_and_print_plan(terminal, made, folder)
 
 
-def _show_places(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
-    terminal.answer(
+def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
+    terminal.print_json(
         [
             {
                 "what": alternative.position_text,
@@ -127,19 +134,19 @@ def _show_places(terminal: Terminal, source: str, alternatives: Sequence[Station
         ]
     )
     for alternative in alternatives:
-        terminal.say(f"- {alternative.position_text}: {alternative.verdict}.")
+        terminal.print_text(f"- {alternative.position_text}: {alternative.verdict}.")
     places = [alternative for alternative in alternatives if alternative.move_option]
     if not places:
-        terminal.say(
+        terminal.print_text(
             "No other place is allowed for this station; enlarge the floor area, or search with one station less."
         )
         return
     out = Path(f"{Path(source).stem}-moved")
     command = shlex.join(["ltsim", "plan", source, "--move", places[0].move_option, "--out", str(out)])
-    terminal.say(f"To take the best of these places: {command}")
+    terminal.print_text(f"To take the best of these places: {command}")
 
 
-def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
+def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """The plan of a search; the best layout so far is printed and written during the search."""
     from ltsim.planning.layout_scenario import copy_cad_files, with_layout
     from ltsim.planning.making import SearchCallbacks
@@ -150,57 +157,69 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
     _, scenario = load_plan_and_scenario(source)
     for body in placed_obstacles(scenario):
-        terminal.say(body.description)
+        terminal.print_text(body.description)
 
     def keep(survey: PlannedSurvey) -> None:
         if folder is not None:
             stored, cad = copy_cad_files(with_layout(scenario, survey))
             try:
-                write_texts(folder, {**cad, SO_FAR: scenario_to_toml(stored)})
+                write_texts(folder, {**cad, BEST_LAYOUT_FILE: scenario_to_toml(stored)})
             except RecordError as problem:
-                terminal.note(f"the best layout so far was not written: {problem}")
+                terminal.print_note(f"the best layout so far was not written: {problem}")
 
-    with terminal.progress("searching layouts", 100) as advance:
-        made = lt.plan(source, **how, callbacks=SearchCallbacks(_percent(advance), terminal.print_now, keep))
+    with terminal.show_progress("searching layouts", 100) as advance:
+        made = lt.plan(
+            source,
+            **search_options,
+            callbacks=SearchCallbacks(_percent_callback(advance), terminal.print_unbuffered, keep),
+        )
     if folder is not None:
-        (folder / SO_FAR).unlink(missing_ok=True)
+        (folder / BEST_LAYOUT_FILE).unlink(missing_ok=True)
     return made
 
 
-def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
+def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | None) -> None:
     from ltsim.planning.result import write_plan
 
-    with terminal.progress("writing tables, pictures and the work order"):
-        content = write_plan(made, folder, {} if folder is None else _drawn(made))
-    terminal.result(content)
+    with terminal.show_progress("writing tables, pictures and the work order"):
+        content = write_plan(plan_result, folder, {} if folder is None else _picture_files(plan_result))
+    terminal.print_result(content)
     if folder is not None:
-        terminal.say(f"\nwritten to {folder}; {PAGE} is for the shop floor, nominals.csv for the tracker's software")
-        terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
+        terminal.print_text(
+            f"\nwritten to {folder}; {WORK_ORDER_FILE} is for the shop floor, nominals.csv for the tracker's software"
+        )
+        terminal.print_text(
+            f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}"
+        )
 
 
-def _drawn(made: Plan) -> dict[str, bytes]:
+def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     """Contents of the files with pictures: work order, floor plan, trade-off of time and quality."""
-    from ltsim.reports.figures.parameters import trade_off
-    from ltsim.reports.style import png
+    from ltsim.reports.figures.parameters import trade_off_figure
+    from ltsim.reports.style import png_bytes
     from ltsim.reports.work_order import work_order_page
 
-    drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
-    return drawn | ({TRADE_OFF: png(trade_off(made, next(iter(made.quality))))} if made.tradeoff else {})
+    drawn = {WORK_ORDER_FILE: work_order_page(plan_result).encode(), FLOOR_PLAN_FILE: png_bytes(plan_result.plot())}
+    return drawn | (
+        {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.quality))))}
+        if plan_result.tradeoff
+        else {}
+    )
 
 
-def _percent(advance: Any) -> Any:
+def _percent_callback(advance_bar: Any) -> Any:
     """Progress callback that converts fractions into steps of a bar of 100."""
     done = 0
 
     def report(_task: str, fraction: float) -> None:
         nonlocal done
-        advance(int(100 * fraction) - done)
+        advance_bar(int(100 * fraction) - done)
         done = int(100 * fraction)
 
     return report
 
 
-def _explanations(between: str | None) -> tuple[str, ...]:
+def _effect_names(between: str | None) -> tuple[str, ...]:
     if between is None:
         return ()
     names = tuple(name.strip() for name in between.split(","))
@@ -211,29 +230,31 @@ def _explanations(between: str | None) -> tuple[str, ...]:
     return names
 
 
-def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
-    from ltsim.diagnosis.detectability import open_question
+def _propose_next_measurement(
+    terminal: Terminal, recording: Recording, effect_names: tuple[str, ...], out: Path | None
+) -> None:
+    from ltsim.diagnosis.detectability import ambiguous_explanations
     from ltsim.recordings.result_file import write_result
 
-    terminal.say(recording.headline)
+    terminal.print_text(recording.headline)
     summary = ""
     modelled: tuple[Signature, ...] = ()
-    if not between:
-        with terminal.progress("diagnosing"):
+    if not effect_names:
+        with terminal.show_progress("diagnosing"):
             diagnosis = lt.diagnose(recording)
         summary = diagnosis.summary
-        terminal.say(summary)
-        between, modelled = open_question(diagnosis)
-    with terminal.progress("trying further measurements", 200) as advance:
+        terminal.print_text(summary)
+        effect_names, modelled = ambiguous_explanations(diagnosis)
+    with terminal.show_progress("trying further measurements", 200) as advance:
         reports: dict[str, Any] = {}
         content = lt.next_measurement(
             recording,
-            between=between,
+            between=effect_names,
             with_effects=modelled,
-            progress=lambda task, fraction: reports.setdefault(task, _percent(advance))(task, fraction),
+            progress=lambda task, fraction: reports.setdefault(task, _percent_callback(advance))(task, fraction),
         )
     content = content.model_copy(update={"diagnosis": summary})
     if out is not None:
         table = content.table()
         content = write_result(out, content, {table.file: table.csv()})
-    terminal.result(content, out)
+    terminal.print_result(content, out)

@@ -12,8 +12,16 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import FramedReading, Source
-from ltsim.cli.places import EMPTY, FILE, FOLDER, RECORDING, Force, check_file, check_recording
+from ltsim.cli.options import FramedReadingOptions, RecordingArgument
+from ltsim.cli.places import (
+    COMMAND_CHECKED_OUTPUT,
+    EMPTY_FOLDER_OUTPUT,
+    FILE_OUTPUT,
+    RECORDING_OUTPUT,
+    ForceOption,
+    check_new_file,
+    check_recording_folder,
+)
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.recordings.files import write_text, write_texts
@@ -23,23 +31,27 @@ if TYPE_CHECKING:
     from ltsim.recordings import Recording
 
 
-ScenarioName = Annotated[
+ScenarioArgument = Annotated[
     str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
 ]
-Destination = Annotated[Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording."), RECORDING]
-TruthFile = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth, which no calibrator reads."), FILE
+RecordingFolderOption = Annotated[
+    Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording."), RECORDING_OUTPUT
 ]
-NominalFile = Annotated[
+TruthFileOption = Annotated[
+    Path | None,
+    typer.Option("--truth", metavar="FILE", help="File for the truth, which no calibrator reads."),
+    FILE_OUTPUT,
+]
+NominalFileOption = Annotated[
     Path | None,
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
-    FILE,
+    FILE_OUTPUT,
 ]
-PerTrial = Annotated[
+PerTrialOption = Annotated[
     bool, typer.Option("--per-trial", help="Draw new stations and targets, as in a campaign with geometry per trial.")
 ]
-Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
-Causes = Annotated[
+ShowScenarioOption = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
+InjectedEffectsArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
@@ -47,27 +59,29 @@ Causes = Annotated[
         "PARAMETER=VALUE; values that are not given are drawn.",
     ),
 ]
-Injected = Annotated[
-    Path | None, typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."), FOLDER
+InjectionFolderOption = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."),
+    COMMAND_CHECKED_OUTPUT,
 ]
-PutIn = Annotated[
+InjectedValuesFileOption = Annotated[
     Path | None,
     typer.Option("--truth", metavar="FILE", help="File for the injected values, which no diagnosis reads."),
-    FILE,
+    FILE_OUTPUT,
 ]
-Curve = Annotated[
+DetectionCurveOption = Annotated[
     bool, typer.Option("--curve", help="Inject it at six strengths; report the fractions detected, located and named.")
 ]
 
 
 def simulate(
-    scenario: ScenarioName,
-    out: Destination = None,
-    truth: TruthFile = None,
-    nominal: NominalFile = None,
-    per_trial: PerTrial = False,
-    show: Show = False,
-    force: Force = False,
+    scenario: ScenarioArgument,
+    out: RecordingFolderOption = None,
+    truth: TruthFileOption = None,
+    nominal: NominalFileOption = None,
+    per_trial: PerTrialOption = False,
+    show: ShowScenarioOption = False,
+    force: ForceOption = False,
     *,
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed trial"],
@@ -77,7 +91,7 @@ def simulate(
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
     if show:
-        terminal.show(_whole(scenario))
+        terminal.print_always(_complete_scenario_text(scenario))
         return
     if out is None:
         raise SetupError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
@@ -90,13 +104,13 @@ def simulate(
         lt.write(true, truth)
     if nominal is not None:
         write_text(nominal, table)
-    terminal.notes(recording.notes)
-    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), **options})
-    terminal.say(recording.headline)
-    terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
+    terminal.print_notes(recording.notes)
+    terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
+    terminal.print_text(recording.headline)
+    terminal.print_text(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
 
 
-def _whole(scenario: str) -> str:
+def _complete_scenario_text(scenario: str) -> str:
     """Text of a scenario with all keys: a commented file unchanged, any other completed."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
@@ -107,14 +121,14 @@ def _whole(scenario: str) -> str:
 
 
 def inject(
-    source: Source,
-    causes: Causes,
-    out: Injected = None,
-    truth: PutIn = None,
-    curve: Curve = False,
+    source: RecordingArgument,
+    causes: InjectedEffectsArgument,
+    out: InjectionFolderOption = None,
+    truth: InjectedValuesFileOption = None,
+    curve: DetectionCurveOption = False,
     *,
-    reading: FramedReading,
-    force: Force = False,
+    reading: FramedReadingOptions,
+    force: ForceOption = False,
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
@@ -127,40 +141,42 @@ def inject(
     if curve:
         file = None if out is None else out / "curve.csv"
         if file is not None:
-            check_file(file, force)
+            check_new_file(file, force)
         del options["noncentrality"]
-        return _curve(terminal, reading.open(source, terminal), causes, file, options)
+        return _run_injection_curve(terminal, reading.read_and_report(source, terminal), causes, file, options)
     if out is None:
         raise ModelError("ltsim inject needs --out REC2, the folder of the recording, or --curve")
-    check_recording(out, force)
-    recording = reading.open(source, terminal)
+    check_recording_folder(out, force)
+    recording = reading.read_and_report(source, terminal)
     del options["injections"]
     made, injected = lt.inject(recording, *causes, **options)
     lt.write(made, out)
     if truth is not None:
         write_text(truth, json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
-    terminal.answer({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
+    terminal.print_json({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
     if truth is None:
-        terminal.say(repr(injected))
-    terminal.say(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
+        terminal.print_text(repr(injected))
+    terminal.print_text(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
     return None
 
 
-def _curve(
+def _run_injection_curve(
     terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
 ) -> None:
-    with terminal.progress("injecting and diagnosing"):
+    with terminal.show_progress("injecting and diagnosing"):
         power = lt.injection_curve(recording, causes[0], **options)
     table = power.table()
-    terminal.answer({"background": list(power.background_effects), "curve": table.json()})
-    terminal.say(power._lines()[0])
-    terminal.say(table.text())
+    terminal.print_json({"background": list(power.background_effects), "curve": table.json()})
+    terminal.print_text(power._lines()[0])
+    terminal.print_text(table.text())
     if file is not None:
         write_text(file, table.csv())
-        terminal.say(f"written to {file}")
+        terminal.print_text(f"written to {file}")
 
 
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY]
+DemoFolderOption = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY_FOLDER_OUTPUT
+]
 
 DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
@@ -168,8 +184,9 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
 )
 """Effects that the demonstration may inject: an SMR of another radius, at a station drawn by the seed."""
 
-TITLE = "Demonstration: a fault is injected into a simulated workshop, and diagnosed"
-CAMPAIGN = """format = "ltsim-campaign/1"
+DEMO_TITLE = "Demonstration: a fault is injected into a simulated workshop, and diagnosed"
+"""Title of the page of the demonstration."""
+DEMO_CAMPAIGN = """format = "ltsim-campaign/1"
 title = "Calibrations of drawn instruments in the paper's workshop"
 scenario = "paper-workshop"
 seed = {seed}
@@ -182,11 +199,12 @@ name = "network"
 name = "distance"
 method = "distance"
 """
+"""Campaign file of the demonstration, with a place for the seed."""
 
 
 def demo(
-    out: Folder = Path("ltsim-demo"),
-    force: Force = False,
+    out: DemoFolderOption = Path("ltsim-demo"),
+    force: ForceOption = False,
     *,
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed"],
@@ -198,22 +216,22 @@ def demo(
     require_packages()
     from ltsim.campaigns.kernels import is_compiled  # slow to import
 
-    for name, place in WRITTEN.items():
-        place.rule(out / name, True)
+    for name, place in DEMO_OUTPUTS.items():
+        place.check(out / name, True)
     outcomes = []
     if not is_compiled():
-        terminal.note("First run: compiling the solver takes about 30 s.")
-    for number, (title, step) in enumerate(STEPS.items(), start=1):
+        terminal.print_note("First run: compiling the solver takes about 30 s.")
+    for number, (title, step) in enumerate(DEMO_STEPS.items(), start=1):
         began = time.perf_counter()
-        with terminal.progress(title):
+        with terminal.show_progress(title):
             outcome = step(out, options["seed"])
         spent = time.perf_counter() - began
-        terminal.say(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")
+        terminal.print_text(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")
         outcomes.append({"step": title, "outcome": outcome, "seconds": round(spent, 2)})
-    terminal.answer({"folder": str(out), "steps": outcomes})
+    terminal.print_json({"folder": str(out), "steps": outcomes})
 
 
-def simulated(out: Path, seed: int) -> str:
+def simulate_workshop(out: Path, seed: int) -> str:
     """Measure the paper's workshop with a drawn instrument."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, out / "workshop" / "recording")
@@ -224,17 +242,17 @@ def simulated(out: Path, seed: int) -> str:
     )
 
 
-def calibrated(out: Path, seed: int) -> str:
+def calibrate_workshop(out: Path, seed: int) -> str:
     """Calibrate that recording."""
-    from ltsim.reports.sections import section_of
+    from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     calibration = lt.calibrate(recording)
     lt.write(calibration, out / "workshop")
-    return section_of(calibration).answer
+    return result_section(calibration).summary
 
 
-def diagnosed(out: Path, seed: int) -> str:
+def diagnose_injected_effect(out: Path, seed: int) -> str:
     """Inject an effect into another recording and diagnose it."""
     from ltsim.core.randomness import stream
     from ltsim.physics.effects import title_of
@@ -248,36 +266,36 @@ def diagnosed(out: Path, seed: int) -> str:
     return f"injected: {title_of(entry['name'])} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
 
 
-def repeated(out: Path, seed: int) -> str:
+def run_demo_campaign(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
     from ltsim.reports.sections.campaign import campaign_section
 
-    write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
+    write_texts(out, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
     results = lt.campaign(out / "campaign.toml", force=True)
     write_texts(out / "campaign", {"summary.csv": results.table("summary").csv()})
-    return campaign_section(out / "campaign").answer
+    return campaign_section(out / "campaign").summary
 
 
-def reported(out: Path, seed: int) -> str:
+def write_demo_page(out: Path, seed: int) -> str:
     """Put everything on one page."""
-    return f"open {lt.report(out, title=TITLE, about={'instrument': 'simulated'})}"
+    return f"open {lt.report(out, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
 
 
-STEPS: dict[str, Callable[[Path, int], str]] = {
-    "simulate the paper's workshop": simulated,
-    "calibrate it": calibrated,
-    "repeat that on 500 drawn instruments, two methods side by side": repeated,
-    "inject a fault into another recording, and diagnose it": diagnosed,
-    "write one page about it": reported,
+DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
+    "simulate the paper's workshop": simulate_workshop,
+    "calibrate it": calibrate_workshop,
+    "repeat that on 500 drawn instruments, two methods side by side": run_demo_campaign,
+    "inject a fault into another recording, and diagnose it": diagnose_injected_effect,
+    "write one page about it": write_demo_page,
 }
 """Steps of the demonstration in order: title and function, which returns the outcome in words."""
-WRITTEN = {
-    "workshop/recording": RECORDING,
-    "workshop/truth.json": FILE,
-    "concealed": FOLDER,
-    "concealed/truth.json": FILE,
-    "campaign.toml": FILE,
-    "campaign": FOLDER,
-    "report.html": FILE,
+DEMO_OUTPUTS = {
+    "workshop/recording": RECORDING_OUTPUT,
+    "workshop/truth.json": FILE_OUTPUT,
+    "concealed": COMMAND_CHECKED_OUTPUT,
+    "concealed/truth.json": FILE_OUTPUT,
+    "campaign.toml": FILE_OUTPUT,
+    "campaign": COMMAND_CHECKED_OUTPUT,
+    "report.html": FILE_OUTPUT,
 }
 """Outputs of the steps, checked before the first step."""

@@ -10,11 +10,13 @@ from typing import IO
 
 from ltsim.core.errors import printable
 
-_CLOSED: set[int] = set()
-_DROPPED: set[int] = set()
+_CLOSED_AT_START: set[int] = set()
+"""Numbers of the standard streams that were closed when the process started."""
+_DROPPED_STREAMS: set[int] = set()
+"""Numbers of the standard streams whose further output is discarded."""
 
 
-def prepare() -> None:
+def prepare_streams() -> None:
     """Preparation of the standard streams of this process for output.
 
     A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
@@ -22,7 +24,7 @@ def prepare() -> None:
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
-            _CLOSED.add(number)
+            _CLOSED_AT_START.add(number)
             nowhere = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
             os.set_inheritable(nowhere.fileno(), True)
             setattr(sys, name, nowhere)
@@ -34,43 +36,43 @@ def prepare() -> None:
         os.environ["PYTHONWARNINGS"] = "ignore"  # of worker processes
 
 
-def output_is_closed() -> bool:
+def is_output_closed() -> bool:
     """True if this process was started with a closed standard output."""
-    return 1 in _CLOSED
+    return 1 in _CLOSED_AT_START
 
 
-def reader_is_gone() -> bool:
-    """True if the reader of standard output has closed it."""
-    return 1 in _DROPPED
+def is_reader_gone() -> bool:
+    """True if the program that reads standard output (such as `head`) has closed it."""
+    return 1 in _DROPPED_STREAMS
 
 
-def write(text: str, stream: IO[str]) -> None:
+def write_line(text: str, stream: IO[str]) -> None:
     """Output of a text with control characters replaced; raises OSError if standard output cannot be written."""
-    with _lost(stream):
+    with _discard_when_lost(stream):
         print(printable(text), file=stream)
 
 
-def flush() -> None:
+def flush_streams() -> None:
     """Flush of both streams; raises OSError if standard output cannot be written."""
     for stream in (sys.stdout, sys.stderr):
-        with _lost(stream):
+        with _discard_when_lost(stream):
             stream.flush()
 
 
 @contextmanager
-def _lost(stream: IO[str]) -> Iterator[None]:
+def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
     """Context that discards further output of a stream whose reader is gone, or of a failing standard error."""
     try:
         yield
     except OSError as problem:
         if stream is not sys.stderr and not isinstance(problem, BrokenPipeError):
             raise
-        drop(stream)
+        discard_output(stream)
 
 
-def drop(stream: IO[str]) -> None:
+def discard_output(stream: IO[str]) -> None:
     """Redirection of a stream to the null device, so that Python does not fail at exit."""
-    _DROPPED.add(stream.fileno())
+    _DROPPED_STREAMS.add(stream.fileno())
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

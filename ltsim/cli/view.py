@@ -11,66 +11,68 @@ from pydantic import ValidationError
 
 import ltsim as lt
 from ltsim.cli import streams
-from ltsim.cli.options import FramedReading
-from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, check_file
-from ltsim.cli.terminal import Quiet, Terminal
+from ltsim.cli.options import FramedReadingOptions
+from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputPlace, check_new_file
+from ltsim.cli.terminal import QuietOption, Terminal
 from ltsim.core.errors import RecordError, SetupError, require
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import About
 
 
-def check_page(folder: Path, force: bool) -> None:
+def check_page_folder(folder: Path, force: bool) -> None:
     """Check that the page of a folder would not replace a file that is not a page of ltsim; raises RecordError."""
-    from ltsim.reports.page import NAME  # slow to import
+    from ltsim.reports.page import PAGE_FILE  # slow to import
 
-    check_file(folder / NAME, force)
+    check_new_file(folder / PAGE_FILE, force)
 
 
-Place = Annotated[
+ViewSourceArgument = Annotated[
     str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
 ]
-Plan = Annotated[
+MovedPlanOption = Annotated[
     str | None,
     typer.Option(
         "--plan", metavar="FILE", help="Move the stations of a plan file, or of a plan's folder, in the browser."
     ),
 ]
-Out = Annotated[
+MovedPlanFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="With --plan: folder to save to; default NAME-moved."),
-    FOLDER,
+    COMMAND_CHECKED_OUTPUT,
 ]
-Port = Annotated[
+PortOption = Annotated[
     int, typer.Option("--port", min=0, max=65535, help="With --plan: port of the page; 0 for any free port.")
 ]
-Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), FILE]
-Html = Annotated[
+PictureFileOption = Annotated[
+    Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), FILE_OUTPUT
+]
+PageFileOption = Annotated[
     Path | None,
     typer.Option("--html", metavar="FILE", help="Write an interactive page for a browser, which works offline."),
-    FILE,
+    FILE_OUTPUT,
 ]
-Folder = Annotated[
+ReportFolderArgument = Annotated[
     Path,
     typer.Argument(metavar="DIR", help="A folder of results, or a folder of such folders."),
-    OutputPlace(check_page),
+    OutputPlace(check_page_folder),
 ]
-Line = Annotated[
+HeaderLineOption = Annotated[
     str | None, typer.Option(metavar="TEXT", help="Line in the header; default from [report] of setup.toml.")
 ]
-Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
+DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 
 
 def view(
-    place: Place = None,
-    plan: Plan = None,
-    png: Png = None,
-    html: Html = None,
+    place: ViewSourceArgument = None,
+    plan: MovedPlanOption = None,
+    png: PictureFileOption = None,
+    html: PageFileOption = None,
     *,
-    reading: FramedReading,
-    force: Force = False,
-    out: Out = None,
-    port: Port = 0,
-    quiet: Quiet = False,
+    reading: FramedReadingOptions,
+    force: ForceOption = False,
+    out: MovedPlanFolderOption = None,
+    port: PortOption = 0,
+    quiet: QuietOption = False,
     **options: Any,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
@@ -86,60 +88,60 @@ def view(
     require(("pyvista", "trame_vtk"), "3D views", "view")
     terminal = Terminal(quiet)
     if plan is not None and place is None:
-        _by_hand(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)
+        _serve_planner(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)
         return
     if place is None or plan is not None:
         raise SetupError("ltsim view needs a scenario, a recording, or --plan FILE, and only one of them")
-    if png is None and html is None and not _has_screen():
+    if png is None and html is None and not _has_display():
         raise RecordError(
             "no display is available for a window; use --png FILE for a picture or --html FILE for a page"
         )
-    with terminal.progress("drawing the workshop"):
-        source = place if reading == FramedReading() else reading.of(Path(place))
+    with terminal.show_progress("drawing the workshop"):
+        source = place if reading == FramedReadingOptions() else reading.read(Path(place))
         shown = lt.view(source, **options)
         if png is not None:
-            shown.png(png)
+            shown.write_png(png)
         if html is not None:
-            shown.html(html)
+            shown.write_html(html)
     for file in (png, html):
         if file is not None:
-            terminal.say(f"written to {file}")
+            terminal.print_text(f"written to {file}")
     if png is None and html is None:
         shown.show()
 
 
-def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
+def _serve_planner(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
     from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
-    from ltsim.reports.board.board import Board
-    from ltsim.reports.board.server import BoardAccess, serve
+    from ltsim.reports.board.board import MovableLayout
+    from ltsim.reports.board.server import PlannerRequests, serve_planner
 
     for name in (SCENARIO_FILE, PLAN_FILE):
-        check_file(out / name, force)
-    with terminal.progress("reading the plan"):
-        access = BoardAccess(Board.of(plan), out)
+        check_new_file(out / name, force)
+    with terminal.show_progress("reading the plan"):
+        access = PlannerRequests(MovableLayout.from_plan(plan), out)
 
     def announce(address: str) -> None:
-        terminal.show(address)
-        streams.flush()
-        terminal.say("open this address to move the stations; Ctrl-C ends the server")
-        if _has_screen():
+        terminal.print_always(address)
+        streams.flush_streams()
+        terminal.print_text("open this address to move the stations; Ctrl-C ends the server")
+        if _has_display():
             webbrowser.open(address)
 
-    serve(access, announce, port)
+    serve_planner(access, announce, port)
 
 
-def _has_screen() -> bool:
+def _has_display() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def report(
-    folder: Folder,
-    instrument: Line = None,
-    date: Day = None,
-    operator: Line = None,
-    customer: Line = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    folder: ReportFolderArgument,
+    instrument: HeaderLineOption = None,
+    date: DateOption = None,
+    operator: HeaderLineOption = None,
+    customer: HeaderLineOption = None,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
     **options: Any,
 ) -> None:
     """Write report.html into DIR: one page that works offline, with the verdict, tables, figures and the 3D view.
@@ -153,13 +155,13 @@ def report(
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """
     terminal = Terminal(quiet)
-    about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
-    with terminal.progress("drawing the report"):
-        page = lt.report(folder, about=about, tell=terminal.note, **options)
-    terminal.say(f"written to {page}")
+    about = _page_header(instrument=instrument, date=date, operator=operator, customer=customer)
+    with terminal.show_progress("drawing the report"):
+        page = lt.report(folder, about=about, tell=terminal.print_note, **options)
+    terminal.print_text(f"written to {page}")
 
 
-def _about(**given: str | None) -> About:
+def _page_header(**given: str | None) -> About:
     """Header of the page from the options; raises SetupError."""
     try:
         return About.model_validate(given)

@@ -50,7 +50,7 @@ def bounded_parser(name: str) -> Callable[[object], int | float]:
     """Parser of a numeric argument on the command line; it raises SetupError under the conditions of `check_bounds`."""
     kind = int if isinstance(ARGUMENT_BOUNDS[name][0], int) else float
 
-    def parsed(text: object) -> int | float:
+    def parse_bounded(text: object) -> int | float:
         value: object = text
         if isinstance(text, str):
             try:
@@ -61,7 +61,7 @@ def bounded_parser(name: str) -> Callable[[object], int | float]:
         check_bounds(**given)
         return value  # type: ignore[return-value]
 
-    return parsed
+    return parse_bounded
 
 
 def check_choice(name: str, value: object, choices: Sequence[str], *, optional: bool = False) -> None:

@@ -30,7 +30,7 @@ def stack_columns(*columns: Floats) -> Floats:
     return stacked
 
 
-def stacked(rows: list[Singles]) -> Singles:
+def stack_and_release(rows: list[Singles]) -> Singles:
     """Array (k, ...) of the rows of a list, which is emptied meanwhile: together they take the memory once."""
     whole = np.empty((len(rows), *rows[0].shape), dtype=np.float32)
     while rows:

@@ -50,10 +50,10 @@ def _docstrings(module: str) -> dict[str, dict[str, str]]:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except (OSError, TypeError):  # no source is at hand, as in an interactive session
         return {}
-    return dict(_of_classes(tree.body, ""))
+    return dict(_descriptions_of_classes(tree.body, ""))
 
 
-def _of_classes(body: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
+def _descriptions_of_classes(body: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
     classes = []
     for node in body:
         if isinstance(node, ast.ClassDef):
@@ -64,5 +64,5 @@ def _of_classes(body: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, 
                 if isinstance(second, ast.Expr) and isinstance(second.value, ast.Constant)
                 if isinstance(second.value.value, str)
             }
-            classes += [(prefix + node.name, texts), *_of_classes(node.body, f"{prefix}{node.name}.")]
+            classes += [(prefix + node.name, texts), *_descriptions_of_classes(node.body, f"{prefix}{node.name}.")]
     return classes

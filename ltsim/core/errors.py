@@ -51,12 +51,12 @@ class SetupError(LtsimError):
 
 
 @contextmanager
-def as_setup_error(where: str = "") -> Iterator[None]:
-    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `where` as prefix."""
+def as_setup_error(place: str = "") -> Iterator[None]:
+    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `place` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
-        raise SetupError(f"{where}: {problem}" if where else str(problem)) from None
+        raise SetupError(f"{place}: {problem}" if place else str(problem)) from None
 
 
 class ModelError(LtsimError):
@@ -90,7 +90,7 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
-MAX_NAME_LENGTH = 60
+MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
 _SPELLING = {"flags": False}
 FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
@@ -114,18 +114,18 @@ def option(name: str) -> str:
     return FLAG_SPELLINGS.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
 
 
-def missing_extra(what: str, extra: str) -> SetupError:
+def missing_extra(feature: str, extra: str) -> SetupError:
     """SetupError for a function that needs packages of an extra."""
-    return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+    return SetupError(f"{feature} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
 
 
-def require(packages: Sequence[str], what: str, extra: str) -> None:
+def require(packages: Sequence[str], feature: str, extra: str) -> None:
     """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
-    if not all(installed(name) for name in packages):
-        raise missing_extra(what, extra)
+    if not all(is_installed(name) for name in packages):
+        raise missing_extra(feature, extra)
 
 
-def installed(package: str) -> bool:
+def is_installed(package: str) -> bool:
     """True where a package can be imported."""
     try:
         return find_spec(package) is not None
@@ -141,6 +141,6 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the closest valid ones."""
     choices = sorted(valid)
-    short = printable(name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}...")
+    short = printable(name if len(name) <= MAX_QUOTED_NAME_LENGTH else f"{name[:MAX_QUOTED_NAME_LENGTH]}...")
     close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {kind} called '{short}'; did you mean {', '.join(close)}?")

@@ -11,92 +11,93 @@ import re
 from ltsim.core.errors import ModelError
 
 MIB = 1024 * 1024
+"""Number of bytes of a mebibyte."""
 
-FILE_BYTES = 32 * MIB
+MAX_FILE_BYTES = 32 * MIB
 """Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
-LINES = 500_000
+MAX_TEXT_LINES = 500_000
 """Largest number of lines of a text file, or of rows of all sheets of a workbook together; a pointing takes 600 bytes
 while it is read.
 """
-LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line; a header of `FIELDS` names of 40 characters has as many."""
-FIELDS = 500
+MAX_LINE_CHARACTERS = 20_000
+"""Largest number of characters in a line; a header of `MAX_ROW_FIELDS` names of 40 characters has as many."""
+MAX_ROW_FIELDS = 500
 """Largest number of columns in a table."""
-HEADERS = 10_000
+MAX_TABLE_HEADERS = 10_000
 """Largest number of header lines in a table, one for each set-up or page; the rows between two are converted together,
 in a millisecond.
 """
-CELLS = 3_000_000
+MAX_TABLE_CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
-ADJUSTED_POINTINGS = 50_000
-"""Pointings of a network that is adjusted or checked: each takes 4 to 7 kB and 0.5 ms, the libraries 130 MB, or with
-pictures 480 MB."""
-CALIBRATED_POINTINGS = 30_000
-"""Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
-DIAGNOSED_POINTINGS = 8_000
-"""Pointings of a network that is diagnosed: with a cause 2,000 take 24 s of processor time and 310 MB, a ring of 3,360
-takes 60 s and 450 MB, and 8,000 take 115 s and 0.85 GB (measured beside other work).
+MAX_ADJUSTED_POINTINGS = 50_000
+"""Largest number of pointings of a network that is adjusted or checked. A pointing takes 4 to 7 kB and 0.5 ms; the
+libraries take 130 MB, or 480 MB with pictures."""
+MAX_CALIBRATED_POINTINGS = 30_000
+"""Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
+networks up to three times as large."""
+MAX_DIAGNOSED_POINTINGS = 8_000
+"""Largest number of pointings of a network that is diagnosed. With a cause, 2,000 take 24 s of processor time and
+310 MB, a ring of 3,360 takes 60 s and 450 MB, and 8,000 take 115 s and 0.85 GB (measured with other processes).
 """
-MAX_POINTINGS = "LTSIM_MAX_POINTINGS"
+POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
 
-TOML_BYTES = 8 * MIB
+MAX_TOML_BYTES = 8 * MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
-TOML_DEPTH = 32
+MAX_TOML_DEPTH = 32
 """Largest nesting depth of tables, arrays and dotted keys in a TOML file; the deepest file of ltsim has 6. Time and
 memory of the parser grow with the square of the depth.
 """
-TOML_KEYS = 100_000
+MAX_TOML_KEYS = 100_000
 """Largest number of keys and table headers in a TOML file: 20,000 points with five keys each. A table takes 2 kB."""
-TOML_VALUES = 400_000
+MAX_TOML_VALUES = 400_000
 """Largest number of keys, tables, arrays and commas in a TOML file: 20,000 points with three coordinates and a
 covariance each.
 """
 
-JSON_VALUES = 1_500_000
+MAX_JSON_VALUES = 1_500_000
 """Largest number of commas and opening brackets in a JSON file, an upper bound of its values; an empty object, three
 characters, takes 64 bytes.
 """
 
-XML_TAGS = 600_000
+MAX_XML_TAGS = 600_000
 """Largest number of tags in an XML file; each element has one or two and takes 400 bytes."""
-XML_ATTRIBUTES = 1_000_000
+MAX_XML_ATTRIBUTES = 1_000_000
 """Largest number of equals signs in an XML file, an upper bound of its attributes; an attribute takes 150 bytes."""
-XML_DEPTH = 64
+MAX_XML_DEPTH = 64
 """Largest nesting depth of XML elements; the deepest format that is read has 8."""
-TAG_ATTRIBUTES = 1_000
+MAX_TAG_ATTRIBUTES = 1_000
 """Largest number of attributes in one XML tag; the parser holds all of them before it returns the tag."""
 
-WORKBOOK_BYTES = 16 * MIB
+MAX_WORKBOOK_BYTES = 16 * MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
 takes 30 bytes and 30 us of reading time.
 """
-WORKBOOK_PARTS = 1_000
+MAX_WORKBOOK_PARTS = 1_000
 """Largest number of parts in a workbook archive."""
-SHEETS = 200
+MAX_WORKBOOK_SHEETS = 200
 """Largest number of sheets in a workbook; several sheets may refer to the same part, which is then
 read several times.
 """
 
-CAD_BYTES = 512 * MIB
+MAX_CAD_BYTES = 512 * MIB
 """Largest size [bytes] of a CAD file."""
-CAD_MEMORY = 250 * MIB
+MAX_CAD_MEMORY = 250 * MIB
 """Memory [bytes] that the process that reads a CAD file may take beyond its libraries (125 MB); proportionally more for
-a file larger than `FILE_BYTES`. The process that waits for it takes 110 MB.
+a file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
 """
-CAD_SECONDS = 25
+MAX_CAD_SECONDS = 25
 """Processor time [s] that the process that reads a CAD file may take; proportionally more for a file larger than
-`FILE_BYTES`.
+`MAX_FILE_BYTES`.
 """
-SMALL_CAD_BYTES = MIB // 2
+MAX_IN_PROCESS_CAD_BYTES = MIB // 2
 """Size [bytes] up to which an OBJ or PLY file is read without a separate process: a polygon with many corners becomes
 360 bytes per byte of the file.
 """
-TRIANGLES = 200_000
-"""Largest number of triangles in a CAD file, those of each instance counted; each takes 700 bytes while it is read, and
-1,500 in a hall where it may hide targets.
-"""
+MAX_OBSTACLE_TRIANGLES = 200_000
+"""Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it
+is read, and 1,500 in a hall where it may hide targets."""
 
 
 def max_pointings(limit: int) -> int:
@@ -104,7 +105,9 @@ def max_pointings(limit: int) -> int:
 
     Raises ModelError where the variable is no whole number.
     """
-    text = os.environ.get(MAX_POINTINGS, "").strip()
+    text = os.environ.get(POINTINGS_LIMIT_VARIABLE, "").strip()
     if text and not re.fullmatch("[0-9]{1,9}", text):
-        raise ModelError(f"the environment variable {MAX_POINTINGS} is {text!r}; expected a whole number of pointings")
+        raise ModelError(
+            f"the environment variable {POINTINGS_LIMIT_VARIABLE} is {text!r}; expected a whole number of pointings"
+        )
     return max(limit, int(text or 0))

@@ -37,7 +37,7 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
     return f"{fixed_point_text(value, places)} +- {fixed_point_text(sigma, places)} {unit}".rstrip()
 
 
-def expanded(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
+def with_expanded_uncertainty(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
     """`1.23 um, U = 0.20 um (k = 2)`: value and expanded uncertainty of a coverage factor."""
     if u is None or not (math.isfinite(u) and u > 0):
         return with_sigma(value, None, unit)
@@ -72,11 +72,11 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], text_col
     )
 
 
-def listing(words: Sequence[str], most: int = 6) -> str:
-    """Words with commas; those beyond `most` are counted: `a, b and 3 more`."""
-    if len(words) <= most:
+def listing(words: Sequence[str], max_words: int = 6) -> str:
+    """Words with commas; those beyond `max_words` are counted: `a, b and 3 more`."""
+    if len(words) <= max_words:
         return ", ".join(words)
-    return ", ".join(words[:most]) + f" and {len(words) - most} more"
+    return ", ".join(words[:max_words]) + f" and {len(words) - max_words} more"
 
 
 def fixed_point_text(value: float | None, places: int) -> str:

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import descriptions
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
-from ltsim.core.limits import LINES
+from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_text
@@ -161,7 +161,7 @@ def _is_text(annotation: Any) -> bool:
 
 @dataclass(frozen=True)
 class Table(ValueEquality):
-    """A table: subject and columns, declared once; `filled` adds rows.
+    """A table: subject and columns, declared once; `with_rows` adds rows.
 
     Spreadsheets take a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. Such a text is written to CSV
     with an apostrophe before it, as is a text that begins with an apostrophe; `parse_csv` removes it.
@@ -179,7 +179,7 @@ class Table(ValueEquality):
         made = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
         return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
 
-    def filled(self, rows: Iterable[Any]) -> Table:
+    def with_rows(self, rows: Iterable[Any]) -> Table:
         """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
         return replace(self, rows=tuple(self._row(row) for row in rows))
 
@@ -247,8 +247,8 @@ class Table(ValueEquality):
         RecordError
             When a column is missing or a cell holds no number where one should be.
         """
-        if text.count("\n") > LINES:
-            raise RecordError(f"has more than {LINES} lines, the limit for reading", file=file)
+        if text.count("\n") > MAX_TEXT_LINES:
+            raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=file)
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())
@@ -256,7 +256,7 @@ class Table(ValueEquality):
             if missing:
                 what = "is there twice" if missing[0] in names else "is missing"
                 raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
-            return self.filled(
+            return self.with_rows(
                 [_parse_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
             )
         except csv.Error as problem:
@@ -269,7 +269,7 @@ class Table(ValueEquality):
 
     @property
     def _displayed_columns(self) -> list[Column]:
-        """Displayed columns: without empty ones and standard deviations, which share a cell with their value."""
+        """Displayed columns: no empty ones, and no standard deviations, which share a cell with their value."""
         merged = {column.sigma for column in self.columns}
         empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
         return [column for column in self.columns if column.name not in merged | empty]

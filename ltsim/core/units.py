@@ -15,6 +15,7 @@ MICRORADIAN = 1e-6
 ARCSECOND = math.pi / 648_000
 DEGREE = math.pi / 180
 GON = math.pi / 200
+QUARTER_TURN = 0.5 * math.pi
 PPM = 1e-6
 EARTH_RADIUS = 6_371_000.0
 """Mean radius [m] of the earth."""
@@ -97,9 +98,9 @@ UNIT_BY_KEY_ENDING = MappingProxyType(
         "_ppm": "ppm", "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
     }
 )  # fmt: skip
-"""Units by the last part of a key, such as `mm` for `_mm`."""
+"""Units by the last part of a key: `_mm` means millimetres."""
 UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
-"""Units by the first word of a key, such as `s` for `seconds`."""
+"""Units by the first word of a key: `seconds` means s."""
 _QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
 
 

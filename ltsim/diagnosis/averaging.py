@@ -19,25 +19,29 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
-from ltsim.diagnosis.diagnosis import Targets
-from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
+from ltsim.diagnosis.diagnosis import AveragedTargets
+from ltsim.diagnosis.evidence import coefficient_posterior, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
-from ltsim.diagnosis.shapes import all_shapes
+from ltsim.diagnosis.shapes import shape_nodes
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
-WORSE, HARM = 0.05, 0.03
-"""Permitted relative increase of the coordinate error when the shift of a law is subtracted, and probability that it is
-exceeded.
-"""
-MOST_OPEN, LEAST = 12, 0.003
-"""Largest number of averaged explanations, and smallest probability of one (cost)."""
+MAX_ERROR_INCREASE = 0.05
+"""Permitted relative increase of the coordinate error when the shift of a law is subtracted."""
+P_ERROR_INCREASE_EXCEEDED = 0.03
+"""Probability with which the increase of the coordinate error may exceed `MAX_ERROR_INCREASE`."""
+MAX_AVERAGED_EXPLANATIONS = 12
+"""Largest number of averaged explanations (cost)."""
+MIN_AVERAGED_PROBABILITY = 0.003
+"""Smallest probability of an averaged explanation (cost)."""
 
 
-def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> tuple[Targets, Floats]:
+def average_over_explanations(
+    searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit
+) -> tuple[AveragedTargets, Floats]:
     """Average over the alternative explanations of each member of a refitted model.
 
     Returns
@@ -48,11 +52,11 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
         Difference of the expected change of the readings from that of the refit [m, rad, rad].
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
-    space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
+    space, linear = searcher.space, first_order_change(searcher, searcher.model_of(refitted))
     points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
-        others = searcher.without(model, i)
+        others = searcher.model_without(model, i)
         weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
         shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
@@ -61,15 +65,15 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
         by_laws += mean if not model.members[i].is_catalogued else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(open_)
-    residual_shift = (1.0 - _safe_share(fitted.adjustment, by_laws, deviations)) * by_laws
+    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, by_laws, deviations)) * by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = fitted.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - residual_shift, covariance, spread), space.unwhiten(change)
+    return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
-def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
+def _safe_fraction_of_change(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
     """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
 
     Explanations deviate by (k, T, 3) [m].
@@ -83,13 +87,14 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
     disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
     spread = float(along @ adjusted.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
     noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(deviations**2))
-    return safe_share(float(shift @ shift), spread, noise)
+    return safe_fraction(float(shift @ shift), spread, noise)
 
 
-def safe_share(size: float, spread: float, noise: float) -> float:
-    """Largest fraction t of the shift s for which t^2 s's - 2 t (s's + s'e) is small except with probability `HARM`.
+def safe_fraction(size: float, spread: float, noise: float) -> float:
+    """Largest fraction t of a shift s for which t^2 s's - 2 t (s's + s'e) is small.
 
-    The limit is ((1 + WORSE)^2 - 1) (s's + e'e), with e'e at its expectation.
+    It is below ((1 + `MAX_ERROR_INCREASE`)^2 - 1) (s's + e'e), with e'e at its expectation, except with probability
+    `P_ERROR_INCREASE_EXCEEDED`.
 
     Parameters
     ----------
@@ -98,61 +103,68 @@ def safe_share(size: float, spread: float, noise: float) -> float:
     """
     if size == 0.0:
         return 1.0
-    bad = -float(ndtri(HARM)) * np.sqrt(spread) - size
-    grown = ((1.0 + WORSE) ** 2 - 1.0) * (size + noise)
+    bad = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
+    grown = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
     return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
 
 
 def model_weights(
-    searcher: Searcher, others: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
+    searcher: Searcher, other_effects: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
     Log evidences are divided by `temperature`. Changes of the noise, like no effect, do not change readings.
     """
-    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
-    likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
-    entries = [(h, p) for h, p in likely if not _is_noise(h)]
-    entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
-    none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise(h))
+    none, *rest_of = normalised_probabilities(
+        np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
+    ).tolist()
+    likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
+    entries = [(h, p) for h, p in likely if not _is_noise_hypothesis(h)]
+    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != chosen.key]
+    none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    shaped = _shaped(searcher, others, chosen)
-    changes = [expected_change(searcher, others, h) for h, _ in (*shaped, *entries)]
+    shaped = _instances_at_probable_shapes(searcher, other_effects, chosen)
+    changes = [expected_change(searcher, other_effects, h) for h, _ in (*shaped, *entries)]
     changes.append(np.zeros_like(changes[0]))
     weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(changes)
 
 
-def _is_noise(hypothesis: Hypothesis) -> bool:
+def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
     """True for a change of the noise."""
     return isinstance(hypothesis.effect, NoiseEffect | VarianceFunction)
 
 
-def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
+def _instances_at_probable_shapes(
+    searcher: Searcher, other_effects: Model, chosen: Hypothesis
+) -> list[tuple[Hypothesis, float]]:
     """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         []
         if isinstance(chosen.effect, EmpiricalLaw)
-        else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
+        else shape_nodes(searcher.evidence_calculator, chosen.effect, other_effects, {}, plausible=True)
     )
     if not shapes:
         return [(chosen, 1.0)]
-    weights = shares(np.array([node.log_weight for node in shapes]))
-    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MOST_OPEN]
-    return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > LEAST]
+    weights = normalised_probabilities(np.array([node.log_weight for node in shapes]))
+    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_EXPLANATIONS]
+    return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
 
 
 def first_order_change(searcher: Searcher, model: Model) -> Floats:
     """First-order change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
-    mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
+    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
     change: Floats = np.hstack([searcher.space.whitened_signature(h.effect) for h in model.members]) @ mean
     return change
 
 
-def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
+def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypothesis) -> Floats:
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
-    moments = searcher.exact.moments([hypothesis.effect], others)[0]
-    change: Floats = searcher.space.whitened_signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
+    moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
+    change: Floats = (
+        searcher.space.whitened_signature(hypothesis.effect)
+        @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]
+    )
     return change

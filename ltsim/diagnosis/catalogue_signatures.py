@@ -14,25 +14,25 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles, stacked
-from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
-from ltsim.diagnosis.null_ensemble import NullEnsemble, square
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
+from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, simulated_log_evidence
+from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-SPARSE = 0.15
+MAX_SPARSE_FRACTION = 0.15
 """Fraction of nonzeros below which a signature is stored as a sparse matrix (speed only)."""
-AT_ONCE, VECTORS = 2_000_000, 128
-"""Largest number of products of signatures and vectors in memory at a time, some tens of MB, and number of vectors that
-are weighted at a time.
-"""
+MAX_SIGNATURE_PRODUCTS = 2_000_000
+"""Largest number of products of signatures and vectors in memory at a time, some tens of MB."""
+N_VECTORS_PER_PART = 128
+"""Number of vectors that are weighted at a time."""
 
 
-ORDINARY = {type(effect) for effect in BASELINE}
+ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
 """Effects of the ordinary calibration, which are always estimated; as hypotheses they mean a value
 beyond their prior.
 """
@@ -41,17 +41,20 @@ beyond their prior.
 def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
     """Every effect of the catalogue, at every place and shape; constants of each of several `instruments` too."""
     trackers = instrument_places(sightings, instruments)
-    constants = [kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY for place in trackers]
+    constants = [
+        kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY_CALIBRATION_TYPES for place in trackers
+    ]
     kinds = [kind for kind in CATALOGUE if not issubclass(kind, NoiseEffect)]
     return [*constants, *(e for kind in kinds for e in kind.candidates(sightings))]
 
 
 @dataclass(frozen=True)
-class Group:
+class SignatureGroup:
     """Group of effects with equal numbers k of parameters, all stored sparse, or all dense on their rows.
 
-    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), the `weight` (r,) of
-    each row, Gram matrices (h, k, k) of the weighted signatures, and those of their projections, computed in the first
+    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), the `row_weights` (r,)
+    of each row, Gram matrices (h, k, k) of the weighted signatures, and those of their projections, computed in the
+    first
     pass.
     """
 
@@ -59,35 +62,39 @@ class Group:
     members: Ints
     places: Ints | slice
     rows: Singles | sp.csr_array
-    weight: Singles
-    raw_gram: Floats
+    row_weights: Singles
+    unscaled_gram: Floats
     gram: Floats
 
     def parts(self, vectors: int) -> Iterator[slice]:
         """Parts of the members whose products with a number of vectors are in memory at a time."""
-        step = max(1, AT_ONCE // (self.size * max(vectors, 1)))
+        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(vectors, 1)))
         yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
 
-    def products(self, part: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, part: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
         rows, count = self.rows[part.start * self.size : part.stop * self.size], vectors.shape[1]
         products = np.empty((rows.shape[0], count))
-        for i in range(0, count, VECTORS):
-            few = slice(i, i + VECTORS)
-            products[:, few] = rows @ np.multiply(vectors[self.places, few], self.weight[:, None], dtype=np.float32)
+        for i in range(0, count, N_VECTORS_PER_PART):
+            few = slice(i, i + N_VECTORS_PER_PART)
+            products[:, few] = rows @ np.multiply(
+                vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
+            )
         return products.reshape(part.stop - part.start, self.size, count)
 
-    def scaled(self, ratio: Singles) -> Group:
+    def scaled_rows(self, ratio: Singles) -> SignatureGroup:
         """Group for rows of the space multiplied by a `ratio` (m,)."""
-        weight = self.weight * ratio[self.places]
+        weight = self.row_weights * ratio[self.places]
         if isinstance(self.rows, np.ndarray):
             parts = (self.rows[p.start * self.size : p.stop * self.size] * weight for p in self.parts(len(weight)))
-            products = np.concatenate([square(rows.reshape(-1, self.size, len(weight))) for rows in parts])
+            products = np.concatenate([row_gram(rows.reshape(-1, self.size, len(weight))) for rows in parts])
         else:
             data = self.rows.data * weight[self.rows.indices]
             ends = self.rows.indptr[:: self.size].tolist()
-            products = np.stack([square(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
-        return replace(self, weight=weight, raw_gram=products.astype(np.float64), gram=np.zeros_like(self.gram))
+            products = np.stack([row_gram(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
+        return replace(
+            self, row_weights=weight, unscaled_gram=products.astype(np.float64), gram=np.zeros_like(self.gram)
+        )
 
 
 @dataclass(frozen=True)
@@ -96,20 +103,21 @@ class CatalogueSignatures:
 
     Attributes
     ----------
-    effects : list of Tunable
+    effects : list of CandidateEffect
         Effects that change a reading.
-    groups : list of Group
+    groups : list of SignatureGroup
     families : tuple of str
-    family : (h,) int
+    family_of_effect : (h,) int
+        Index of the family of each effect.
     """
 
     effects: list[CandidateEffect]
-    groups: list[Group]
+    groups: list[SignatureGroup]
     families: tuple[str, ...]
-    family: Ints
+    family_of_effect: Ints
 
     @classmethod
-    def of(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
+    def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
         sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
@@ -123,7 +131,7 @@ class CatalogueSignatures:
             if not len(places):
                 continue
             touched = np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(places) < SPARSE * space.n_rows
+            is_sparse = len(places) < MAX_SPARSE_FRACTION * space.n_rows
             stored = places if is_sparse else np.flatnonzero(touched[kind])
             signature = signature[stored]
             signature *= effect.size_scales
@@ -136,59 +144,62 @@ class CatalogueSignatures:
                 members.append(len(touching))
                 made.append(rows)
             touching.append(effect)
-        groups = [_sparse(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
+        groups = [_sparse_group(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
         groups += [
-            _dense(size, members, stacked(made), np.flatnonzero(np.array(kinds)[kind]))
+            _dense_group(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
             for (size, kinds), (members, made) in sorted(dense.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
         return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
-    def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
+    def with_weights_of(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
         """Signatures with the weights of another adjustment of the same readings.
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(after.n_rows, dtype=np.float32)
         ratio[: int(after.used_readings.sum())] = (before.sigma / after.sigma)[after.used_readings]
-        return replace(self, groups=[group.scaled(ratio) for group in self.groups])
+        return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
-    def score(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
+    def log_evidence_and_trials(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
         """Log evidence (h,) of each effect given the model, and of the trials by family (families, trials).
 
         The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced, because
         the difference of an estimate and an exact value may vanish.
         """
-        values, chance = np.zeros(len(self.effects)), FamilyMeans.of(self.family, len(self.families), probe.count)
+        values, chance = (
+            np.zeros(len(self.effects)),
+            FamilyMeans.of(self.family_of_effect, len(self.families), probe.n_trials),
+        )
         for group in self.groups:
             for part in group.parts(probe.vectors.shape[1]):
-                scores = group.products(part, probe.vectors)
+                scores = group.weighted_products(part, probe.vectors)
                 if probe.is_first_pass:
-                    group.gram[part] = probe.gram(scores, group.raw_gram[part])
-                score, trials, _ = probe.split(scores)
+                    group.gram[part] = probe.projected_gram(scores, group.unscaled_gram[part])
+                score, trials, _ = probe.split_products(scores)
                 gram = group.gram[part]
                 if not probe.gram_is_monte_carlo:
-                    gram = gram - square(group.products(part, probe.model_basis))
+                    gram = gram - row_gram(group.weighted_products(part, probe.model_basis))
                 strength, turn = np.linalg.eigh(gram)
                 strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
                 members = group.members[part]
                 values[members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-                if probe.count:
-                    chance.add(members, simulated_evidence(turn @ trials, strength))
+                if probe.n_trials:
+                    chance.add(members, simulated_log_evidence(turn @ trials, strength))
         return values, chance.log_means
 
-    def by_family(self) -> list[list[Effect]]:
+    def effects_by_family(self) -> list[list[Effect]]:
         """Effects of each family, without the constants of the ordinary calibration."""
         families: list[list[Effect]] = [[] for _ in self.families]
-        for family, effect in zip(self.family.tolist(), self.effects, strict=True):
+        for family, effect in zip(self.family_of_effect.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
             families[family].append(effect)
-        return [family for family in families if type(family[0]) not in ORDINARY]
+        return [family for family in families if type(family[0]) not in ORDINARY_CALIBRATION_TYPES]
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, from that of each effect (h, ...)."""
-        return log_means(values, self.family, len(self.families)) if self.effects else values
+        return log_means_by_group(values, self.family_of_effect, len(self.families)) if self.effects else values
 
 
 @dataclass(frozen=True)
@@ -209,7 +220,7 @@ class FamilyMeans:
     def add(self, members: Ints, values: Floats) -> None:
         """Addition of the log evidence (k, trials) of some effects (k,)."""
         present, group = np.unique(self.family[members], return_inverse=True)
-        means = log_means(values, group, len(present))
+        means = log_means_by_group(values, group, len(present))
         means += np.log(np.bincount(group))[:, None]
         self.sums[present] = np.logaddexp(self.sums[present], means)
 
@@ -225,26 +236,30 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
     whitened signature of plausible size, and the pointing (r,) of each.
     """
-    if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == LightPathStage.AIR:
+    if (
+        not isinstance(effect, Effect)
+        or type(effect) in ORDINARY_CALIBRATION_TYPES
+        or effect.stage == LightPathStage.AIR
+    ):
         return effect, 1.0
     squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
-    coarser = times_to_noise(np.sqrt(squares))
-    return replace(effect, coarse=coarser) if coarser > 1.0 else effect, coarser
+    coarser = noise_level_factor(np.sqrt(squares))
+    return replace(effect, size_factor=coarser) if coarser > 1.0 else effect, coarser
 
 
-def _dense(size: int, members: Sequence[int], rows: Singles, places: Ints) -> Group:
+def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
-    products, weight = square(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
+    products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
     flat = rows.reshape(-1, len(places))
-    return Group(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
+    return SignatureGroup(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
 
 
-def _sparse(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
+def _sparse_group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, each on few of `length` rows."""
-    products = np.stack([square(rows) for _, _, rows in made]).astype(np.float64)
+    products = np.stack([row_gram(rows) for _, _, rows in made]).astype(np.float64)
     indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
     ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))]).astype(np.int32)
     data = np.concatenate([rows.ravel() for _, _, rows in made])
     rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
     weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in made])
-    return Group(size, members, slice(None), rows, weight, products, np.zeros_like(products))
+    return SignatureGroup(size, members, slice(None), rows, weight, products, np.zeros_like(products))

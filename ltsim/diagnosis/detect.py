@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
-ROUNDING = 1e-3
+EVIDENCE_ROUNDING_ERROR = 1e-3
 """Error of log evidences by single precision, in which simulated recordings are scored."""
 
 
@@ -28,40 +28,42 @@ class Detection:
     statistic : float
         Log evidence of the whole search.
     chi2_p_value : float
-        Of the plain global test; NaN without redundancy.
-    null : (trials,) float
+        p-value of the global test (chi-square); NaN without redundancy.
+    null_statistics : (trials,) float |
         Statistic of simulated recordings without any effect.
     """
 
     statistic: float
     chi2_p_value: float
-    null: Floats
+    null_statistics: Floats
 
     @property
     def p_value(self) -> float:
         """p-value of the search, corrected for everything that was tried."""
-        return self.chance(self.statistic)
+        return self.p_value_of(self.statistic)
 
     def threshold(self, level: float) -> float:
         """Value of the statistic that a clean recording exceeds with probability `level`."""
-        return float(np.quantile(self.null, 1.0 - level))
+        return float(np.quantile(self.null_statistics, 1.0 - level))
 
-    def chance(self, statistic: float) -> float:
+    def p_value_of(self, statistic: float) -> float:
         """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.
 
         A recording without effects is exchangeable with them, so that the probability of a value up to p is at most p.
         The smallest value is 1 / (n + 1).
         """
-        return (int(np.sum(self.null >= statistic - ROUNDING)) + 1) / (len(self.null) + 1)
+        return (int(np.sum(self.null_statistics >= statistic - EVIDENCE_ROUNDING_ERROR)) + 1) / (
+            len(self.null_statistics) + 1
+        )
 
 
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     """Joint test of the residuals of an adjustment against all effects, laws and changes of the noise."""
     space = searcher.space
     noise_evidence = noise.family_evidence(space.residuals[:, None], space.redundancy)[:, 0]
-    simulated = noise.family_evidence(searcher.probe.trials, space.redundancy)
-    statistic = float(log_sum_exp(np.append(noise_evidence, searcher.first.statistic)))
-    null = np.logaddexp(log_sum_exp(simulated), searcher.first.null)
+    simulated = noise.family_evidence(searcher.null_ensemble.simulated_residuals, space.redundancy)
+    statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.statistic)))
+    null = np.logaddexp(log_sum_exp(simulated), searcher.empty_model_screening.null_statistics)
     chi2, dof = float(space.residuals @ space.residuals), space.adjustment.dof
     plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     return Detection(statistic, plain, null)

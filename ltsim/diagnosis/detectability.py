@@ -27,18 +27,18 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
-AT_ONCE = 1_000_000
+MAX_PROJECTED_ENTRIES = 1_000_000
 """Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
-OUT_OF_REACH = 10.0
+MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
-TIE = 1e-6
+MAX_EQUAL_SIZE_DIFFERENCE = 1e-6
 """Relative difference up to which sizes count as equal, so that rounding does not decide which is reported."""
-DIGITS = 6
+DISTORTION_DECIMALS = 6
 """Decimals [um] to which a distortion is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
-def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> DetectabilityReport:
+def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSignatures) -> DetectabilityReport:
     """Detectable effects, and undetectable ones with the target error that they cause, the largest first.
 
     For an effect with several parameters the parameter with the smallest ratio of detectable to plausible size at a
@@ -46,27 +46,27 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
 
     Parameters
     ----------
-    cards : CatalogueSignatures
+    catalogue_signatures : CatalogueSignatures |
         All hypotheses of the catalogue.
     """
     detectable, hidden = [], []
-    for effects in cards.by_family():
-        rows = _detectability(space, effects).table()
+    for effects in catalogue_signatures.effects_by_family():
+        rows = _detectability_of_effects(space, effects).table()
         times = np.array([row.median_size / row.prior_sigma for row in rows])
-        best = int(np.flatnonzero(times <= times.min() * (1.0 + TIE))[0])
-        if times[best] < OUT_OF_REACH:
+        best = int(np.flatnonzero(times <= times.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
+        if times[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
-            hidden.append(_undetectable(space, effects[(len(effects) - 1) // 2], float(times[best])))
+            hidden.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(times[best])))
     return tuple(detectable), tuple(sorted(hidden, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
 
 
-def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
+def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
     """Detectability of an effect at a sample of its places, in double precision."""
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, AT_ONCE // (space.n_rows * size))
+        step = max(1, MAX_PROJECTED_ENTRIES // (space.n_rows * size))
         for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)
@@ -80,9 +80,11 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
     return effect_detectability(entries, len(effects))
 
 
-def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
+def _undetectable_entry(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = round(max(distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DIGITS)
+    hides = round(
+        max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
+    )
     size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
     factor = times if np.isfinite(times) else None
@@ -95,7 +97,7 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
     )
 
 
-def distortion(space: ResidualSpace, shift: Floats) -> float:
+def target_distortion(space: ResidualSpace, shift: Floats) -> float:
     """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
     moved = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
@@ -114,7 +116,7 @@ def separating_measurement(
     with_effects : sequence of Signature
         The other findings.
     """
-    names = _comparable(effect, equivalents)
+    names = _comparable_effects(effect, equivalents)
     if not names:
         return ""
     space = residual_space_of(adjustment, with_effects)
@@ -125,24 +127,24 @@ def separating_measurement(
     return rank_deciding_measurements(adjustment, explanations, with_effects, stops_at_first=True).advice_sentence
 
 
-def open_question(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
+def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
     """Alternative explanations of the first ambiguous finding of a diagnosis, and the other effects of its model."""
     for finding in diagnosis.findings:
         names = (
-            _comparable(finding.effect, [other.effect for other in finding.equivalents])
+            _comparable_effects(finding.effect, [other.effect for other in finding.equivalents])
             if finding.is_catalogued
             else ()
         )
         if names:
-            return names, tuple(e for e in diagnosis.adjusted.effects if e.name != finding.effect)
+            return names, tuple(e for e in diagnosis.final_adjustment.effects if e.name != finding.effect)
     return (), ()
 
 
-def _comparable(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
+def _comparable_effects(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
     """An effect and its equivalents that shift readings; empty where there is nothing to compare."""
-    others = [name for name in equivalents if name != "unknown" and _shifts(name)]
-    return (effect, *others) if others and _shifts(effect) else ()
+    others = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
+    return (effect, *others) if others and _shifts_readings(effect) else ()
 
 
-def _shifts(name: str) -> bool:
+def _shifts_readings(name: str) -> bool:
     return not issubclass(find_effect(name), NoiseEffect)

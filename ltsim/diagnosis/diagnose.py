@@ -7,33 +7,35 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.identification import CauseSelection, cause_tests, identify_causes
+from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
-from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import DIAGNOSED_POINTINGS
-from ltsim.diagnosis.averaging import averaged
+from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
+from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
-from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
-from ltsim.diagnosis.diagnosis import Diagnosis, DiagnosisArrays, Targets
-from ltsim.diagnosis.evidence import restricted
-from ltsim.diagnosis.findings import Explained, among, noise_finding
+from ltsim.diagnosis.detectability import detectability_report
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio
+from ltsim.diagnosis.findings import ExplainedRecording, name_probabilities
 from ltsim.diagnosis.findings_from_tests import instrument_finding
-from ltsim.diagnosis.held_out import HeldOut, held_out as held_out_errors
-from ltsim.diagnosis.hypotheses import Model, likeliest
-from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation, contradictions, instrument_entries
-from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
-from ltsim.diagnosis.null_ensemble import TRIALS
-from ltsim.diagnosis.preprocessing import adapted_baseline, agreeing
-from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
-from ltsim.diagnosis.search import MOST_MEMBERS
+from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
+from ltsim.diagnosis.hypotheses import Model, most_probable_name
+from ltsim.diagnosis.instruments import (
+    ConstantContradiction,
+    HistoryExpectation,
+    find_contradictions,
+)
+from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS
+from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
+from ltsim.diagnosis.schema import Finding
+from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -43,17 +45,15 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MOST_ROUNDS = 3
+MAX_ALTERNATIONS = 3
 """Largest number of alternations between variance and mean hypotheses."""
-LEAST_LEVEL = 1e-3
+MIN_FALSE_ALARM_RATE = 1e-3
 """Smallest false-alarm rate; a p-value of 1 / (n + 1) needs n simulated recordings."""
 MIN_REMAINING_OFFSET = 0.5
 """Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
 be reported.
 """
-MOST_REPORTED = 5
-"""Largest number of reported findings, blunders and constants first."""
-LEAST_GAIN = 2.0
+MIN_EFFECT_LOG_EVIDENCE = 2.0
 """Smallest log evidence of an additional effect: a geometric prior on the number of effects, with prior odds of e^-2 (1
 to 7) for each additional one.
 """
@@ -77,12 +77,12 @@ def diagnose(
     seed : int
         Root seed of the simulated null distribution.
     level : float
-        False-alarm rate of the whole search, `LEAST_LEVEL` at least.
+        False-alarm rate of the whole search, `MIN_FALSE_ALARM_RATE` at least.
     history : EarlierCalibrations, optional
         Earlier calibrations that each constant of the instruments is compared with.
     held_out : bool, optional
-        Whether the search is repeated without each fold of the readings, which are then predicted: five more searches
-        if the model is not empty. None: in networks with up to `null_ensemble.MOST_UNKNOWNS` unknowns.
+        True for a search without each fold of the readings, which are then predicted: five more searches if the model
+        is not empty. None: in networks with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
 
     Returns
     -------
@@ -94,12 +94,14 @@ def diagnose(
     RecordError
         When the history is of other instruments or another construction, or the level is none.
     """
-    if not LEAST_LEVEL <= level < 1.0:
-        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
-    recording.require_at_most(DIAGNOSED_POINTINGS, "a diagnosis")
+    if not MIN_FALSE_ALARM_RATE <= level < 1.0:
+        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
+    recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     compared = (
-        contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
+        find_contradictions
+        if history is None
+        else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
     )
     selection = identify_causes(recording, construction)
     if selection is None:
@@ -107,29 +109,39 @@ def diagnose(
         use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
-    trials = max(TRIALS, ceil(1.0 / level))
-    case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-    beginning, detection, model, fitted = _searched(case, level, compared)
+    trials = max(MIN_SIMULATED_RECORDINGS, ceil(1.0 / level))
+    case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
+    beginning, detection, model, fitted = _search_recording(case, level, compared)
     if selection is not None and model.members:
-        restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
+        restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             del case, beginning, detection, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
-            case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-            beginning, detection, model, fitted = _searched(case, level, compared)
+            case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
+            beginning, detection, model, fitted = _search_recording(case, level, compared)
     mismatch = detection.p_value < level
     settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
-    odd = [instrument_finding(c) for c in contradicting if not _varies(c.parameter.name, model.effects)][:MOST_MEMBERS]
-    explained = Explained(case, detection, model, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
-    repeated = not case.searcher.large if held_out is None else held_out
-    errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
+    odd = [instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)][
+        :MAX_MODEL_MEMBERS
+    ]
+    explained = ExplainedRecording(
+        case, detection, model, fitted, bool(mistaken or odd or _has_more_than_noise_level(case.noise))
+    )
+    repeated = not case.searcher.is_large_network if held_out is None else held_out
+    errors = (
+        HeldOutErrors()
+        if case.searcher.is_large_network and not repeated
+        else _held_out_errors(explained, MIN_EFFECT_LOG_EVIDENCE, repeated)
+    )
     detectability = detectability_report(*beginning)
     source = SourceEntry.from_recording(recording)
-    return _report(source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
+    return assemble_diagnosis(
+        source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch
+    )
 
 
-def _varies(constant: str, effects: Sequence[CandidateEffect]) -> bool:
+def _varies_constant(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if an effect varies this constant of an instrument, which then has no single value."""
     laws = (VARIED_CONSTANTS.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (constants_of_slot(getattr(e, "slot", "")) for e in effects)
@@ -137,28 +149,28 @@ def _varies(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     return any(constant in varied for varied in (*laws, *drifts, *parameters))
 
 
-Compared = Callable[[Adjustment, float], list[Contradiction]]
+ConstantComparison = Callable[[Adjustment, float], list[ConstantContradiction]]
 """Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
 
 
-def _searched(
-    case: SelectionState, level: float, compared: Compared
+def _search_recording(
+    case: SelectionState, level: float, compared: ConstantComparison
 ) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Detection, Model, Refit]:
     """Space and hypotheses of the initial network, its detection result, the selected model if rejected, its refit."""
-    beginning = case.space, case.searcher.cards
-    detection = detect(case.searcher, case.bank)
-    model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
-    return beginning, detection, *_refitted(case, model)
+    beginning = case.space, case.searcher.catalogue_signatures
+    detection = detect(case.searcher, case.noise_bank)
+    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, compared) if detection.p_value < level else case.empty_model
+    return beginning, detection, *_refit_model(case, model)
 
 
 def _contradicting_constants(
-    case: SelectionState, model: Model, settled: Adjustment, compared: Compared
-) -> list[Contradiction]:
+    case: SelectionState, model: Model, final_adjustment: Adjustment, compared: ConstantComparison
+) -> list[ConstantContradiction]:
     """Constants that contradict their reference with nearly equal offsets with and without the model."""
-    with_model = compared(settled, LEAST_GAIN)
+    with_model = compared(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if not model.members:
         return with_model
-    alone = compared(case.space.adjustment, LEAST_GAIN)
+    alone = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     size = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in alone
@@ -170,23 +182,23 @@ def _contradicting_constants(
     ]
 
 
-def _select_model(case: SelectionState, threshold: float, compared: Compared) -> Model:
+def _select_model(case: SelectionState, threshold: float, compared: ConstantComparison) -> Model:
     """Selected model: changed constants, mean shifts and changes of the noise, until the evidence does not increase.
 
     The kind with the larger evidence is selected first: a law selected with a wrong noise level absorbs noise, and
     noise estimated before a law absorbs the law; the same is true for constants.
     """
-    noise = case.noises(case.empty)[0][0]
-    shifts = case.searcher.lower_bound(threshold, noise).score
+    noise = case.ranked_noise(case.empty_model)[0][0]
+    shifts = case.searcher.lower_bound_model(threshold, noise).score
     if noise >= shifts:
-        _variance_only(case, threshold, max(shifts, case.searcher.rank(case.empty).total))
+        _variance_only(case, threshold, max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total))
         model = _mean_and_variance(case, threshold)
     else:
-        model = case.searcher.search(threshold, something=True)
-    contradicting = compared(case.space.adjustment, LEAST_GAIN)
+        model = case.searcher.select_model(threshold, requires_member=True)
+    contradicting = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if contradicting and sum(contradiction.evidence for contradiction in contradicting) > model.score:
         case.release_priors(contradicting)
-        model = case.searcher.search(threshold, something=False)
+        model = case.searcher.select_model(threshold, requires_member=False)
     return _alternate_mean_and_variance(case, model, threshold)
 
 
@@ -195,11 +207,13 @@ def _variance_only(case: SelectionState, threshold: float, shifts: float) -> Non
 
     The log evidence of mean `shifts` counts among the alternatives to the first one.
     """
-    for further in range(MOST_ROUNDS):
-        ranked = case.noises(case.empty)
+    for further in range(MAX_ALTERNATIONS):
+        ranked = case.ranked_noise(case.empty_model)
         if further and ranked[0][0] < threshold:
             break
-        case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0 if further else shifts)))
+        case.add_noise(
+            most_likely_sizes(case.space, case.space.sigma, _most_probable_noise(ranked, 0.0 if further else shifts))
+        )
         case.set_adjustment(case.estimate_variance_components(()))
 
 
@@ -209,16 +223,16 @@ def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
     Noise estimated alone hides a shift: it is estimated again with the best shifts, and both together are
     compared with noise alone by their restricted likelihood.
     """
-    alone, sigma, adjusted = list(case.noise), case.sigma, case.space.adjustment
-    case.prune_variance_components(case.searcher.search(threshold, something=True).effects)
-    model, space = case.searcher.search(threshold, something=False), case.space
-    factor = (sigma / case.sigma)[space.used_readings] ** 2
+    alone, sigma, adjusted = list(case.noise), case.reading_sigmas, case.space.adjustment
+    case.prune_variance_components(case.searcher.select_model(threshold, requires_member=True).effects)
+    model, space = case.searcher.select_model(threshold, requires_member=False), case.space
+    factor = (sigma / case.reading_sigmas)[space.used_readings] ** 2
     squares, share = (rows[: len(factor)] for rows in (space.residuals**2, space.redundancy))
-    if model.members and model.score - restricted(squares, share, factor).sum() > threshold:
+    if model.members and model.score - log_restricted_likelihood_ratio(squares, share, factor).sum() > threshold:
         return model
-    case.noise, case.sigma = alone, sigma
+    case.noise, case.reading_sigmas = alone, sigma
     case.set_adjustment(adjusted)
-    return case.empty
+    return case.empty_model
 
 
 def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: float) -> Model:
@@ -227,27 +241,30 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
     Each noise hypothesis is tried added to the model, or replacing one member or all, until the evidence stops
     increasing.
     """
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ALTERNATIONS):
         searcher, members = case.searcher, model.members
-        bases = [model, *(searcher.without(model, i) for i in range(len(members)))]
-        bases += [searcher.empty] if len(members) > 1 else []
-        ranked = [case.noises(base) for base in bases]
+        bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
+        bases += [searcher.empty_model] if len(members) > 1 else []
+        ranked = [case.ranked_noise(base) for base in bases]
         least = threshold + model.discrepancy_penalty
-        rest = [min(searcher.rank(model).total, least), *(searcher.rank(base).total for base in bases[1:])]
+        rest = [
+            min(searcher.ranking(model).log_evidence_total, least),
+            *(searcher.ranking(base).log_evidence_total for base in bases[1:]),
+        ]
         lost = [0.0, *rest[1 : len(members) + 1], *(model.score - base.score for base in bases[len(members) + 1 :])]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
-        likeliest_noise = _with_probability(ranked[most], rest[most])
+        likeliest_noise = _most_probable_noise(ranked[most], rest[most])
         space = case.space.with_effects(bases[most].effects)
-        case.add_noise(most_likely(space, case.space.sigma, likeliest_noise))
+        case.add_noise(most_likely_sizes(space, case.space.sigma, likeliest_noise))
         case.set_adjustment(case.estimate_variance_components(bases[most].effects))
-        model = case.searcher.search(threshold, something=False)
+        model = case.searcher.select_model(threshold, requires_member=False)
     return model
 
 
-def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
+def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
     """Most probable change of the noise with its probability among all hypotheses.
 
     `rest` is the log sum of the others.
@@ -257,21 +274,21 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     named: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
         named[entry.effect.name] = min(named.get(entry.effect.name, 0.0) + weight, 1.0)
-    name = likeliest(named)
+    name = most_probable_name(named)
     value, best = next(entry for entry in ranked if entry[1].effect.name == name)
-    probability, rivals = among(named, name)
+    probability, rivals = name_probabilities(named, name)
     return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 
-def _refitted(case: SelectionState, model: Model) -> tuple[Model, Refit]:
+def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
     """Nonlinear refit of the model, without members that it no longer supports.
 
     The search is linear: the second-order part of a large effect can look like a further effect.
     """
-    fitted = case.refit(model.effects, case.sigma)
+    fitted = case.refit(model.effects, case.reading_sigmas)
     while len(model.members) > 1:
-        rest = [case.searcher.without(model, i) for i in range(len(model.members))]
-        without = [case.refit(reduced.effects, case.sigma) for reduced in rest]
+        rest = [case.searcher.model_without(model, i) for i in range(len(model.members))]
+        without = [case.refit(reduced.effects, case.reading_sigmas) for reduced in rest]
         gains = [
             log_support(model, reduced, refitted.adjustment.chi2 - fitted.adjustment.chi2)
             for reduced, refitted in zip(rest, without, strict=True)
@@ -292,87 +309,28 @@ def log_support(model: Model, reduced: Model, drop: float) -> float:
     return model.score - reduced.score + 0.5 * (drop - linear)
 
 
-def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
+def _has_more_than_noise_level(noise: Sequence[NoiseHypothesis]) -> bool:
     """True if a change of the noise other than its overall level was selected."""
     return any(not isinstance(change.effect, NoiseLevel) for change in noise)
 
 
-def _report(
-    source: SourceEntry,
-    explained: Explained,
-    detectability: DetectabilityReport,
-    certain: Sequence[Finding],
-    settled: Adjustment,
-    errors: HeldOut,
-    selection: CauseSelection | None,
-    *,
-    mismatch: bool,
-) -> Diagnosis:
-    """Diagnosis from the explained model, and from findings of tests (`certain`), which need no search."""
-    case, model, detection = explained.case, explained.model, explained.detection
-    baseline, adjusted = case.baseline, explained.refit.adjustment
-    shifts = [explained.finding(i) for i, finding in enumerate(model.members) if finding.key not in explained.withheld]
-    clock = case.recording.has_clock
-    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
-    sure = [finding for finding in (*shifts, *noises) if finding.evidence.chance >= LIKELY]
-    alone = not certain and all(finding.effect == NoiseLevel.name for finding in sure)
-    likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
-    likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
-    room = max(MOST_REPORTED - len(certain), 0)
-    findings = sorted([*certain, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
-    before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
-    if model.members or case.noise:
-        dof = baseline.dof - model.basis.shape[1]
-        after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
-    verdict = "mismatch" if mismatch or certain else "consistent"
-    detectable, undetectable = detectability
-    return Diagnosis.of(
-        DiagnosisArrays(*_averaged(explained, shifts, noises), baseline, adjusted),
-        recording=source,
-        verdict=verdict,
-        summary=summarise(
-            verdict, findings, detection.p_value, before, after, withheld=len(explained.withheld) + len(likely[room:])
-        ),
-        global_test=GlobalTest(
-            statistic=baseline.chi2,
-            dof=baseline.dof,
-            p_value=detection.chi2_p_value,
-            search_p_value=detection.p_value,
-        ),
-        findings=tuple(findings),
-        fit=BeforeAfter(before=before, after=after),
-        undetectable=undetectable,
-        detectable=tuple(map(DetectableEntry.of, detectable)),
-        instruments=instrument_entries(settled),
-        tests=() if selection is None else cause_tests(selection),
-    )
-
-
-def _averaged(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> tuple[Targets, Floats]:
-    """Targets and difference of the change of the readings (n, 3), averaged over explanations.
-
-    The targets are those of the calibration if no cause is more probable than not.
-    """
-    case = explained.case
-    targets, change = averaged(case.searcher, explained.model, explained.rankings, explained.refit)
-    if not any(finding.evidence.chance >= LIKELY for finding in (*shifts, *noises)):
-        targets, _ = averaged(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
-    return targets, change
-
-
-def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut:
+def _held_out_errors(explained: ExplainedRecording, threshold: float, repeated: bool) -> HeldOutErrors:
     """Errors of held-out readings, relative to the larger of the declared and the estimated noise.
 
     `after` is given if the search is `repeated`, or the model shifts no reading.
     """
-    case, nominal = explained.case, explained.case.recording.sigma()
+    case, nominal = explained.state, explained.state.recording.sigma()
     space, seed = case.searcher.space, case.seed
-    if (case.sigma < nominal).any():
-        space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.sigma, nominal)).adjustment)
+    if (case.reading_sigmas < nominal).any():
+        space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.reading_sigmas, nominal)).adjustment)
     if not explained.model.members:
-        before = held_out_errors(space, seed).before
-        return HeldOut(before, before)
-    return held_out_errors(space, seed, case.searcher, threshold) if repeated else held_out_errors(space, seed)
+        before = cross_validated_errors(space, seed).before
+        return HeldOutErrors(before, before)
+    return (
+        cross_validated_errors(space, seed, case.searcher, threshold)
+        if repeated
+        else cross_validated_errors(space, seed)
+    )
 
 
 __all__ = ["diagnose"]

@@ -17,17 +17,17 @@ from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
-    DETECTABLE,
-    FINDINGS,
-    FIT,
-    TARGETS,
-    UNDETECTABLE,
+    DETECTABLE_TABLE,
+    DIAGNOSED_TARGETS_TABLE,
+    FINDINGS_TABLE,
+    FIT_TABLE,
+    UNDETECTABLE_TABLE,
     BeforeAfter,
     DetectableEntry,
-    Estimate,
     Finding,
     GlobalTest,
     InstrumentEntry,
+    ParameterEstimate,
     Undetectable,
 )
 from ltsim.geometry.polar import wrap_angle
@@ -38,12 +38,12 @@ from ltsim.recordings.result_file import ResultFile
 
 
 @dataclass(frozen=True)
-class Targets(ValueEquality):
+class AveragedTargets(ValueEquality):
     """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
 
     points: Floats
     covariance: Floats
-    spread: Floats
+    explanation_deviations: Floats
     """Weighted deviations between explanations; part of the covariance, (k, T, 3) [m]."""
 
 
@@ -51,12 +51,14 @@ class Targets(ValueEquality):
 class DiagnosisArrays(ValueEquality):
     """Networks of a diagnosis, and its coordinates."""
 
-    targets: Targets
+    targets: AveragedTargets
     averaging_change: Floats
     """Change (n, 3) [m, rad, rad] of the readings averaged over the explanations, minus that of the refit."""
-    baseline: Adjustment
+    variance_factors: Floats
+    """Factors (n, 3) on the declared variance, averaged over the changes of the noise."""
+    baseline_adjustment: Adjustment
     """Adjustment of the ordinary model."""
-    adjusted: Adjustment
+    final_adjustment: Adjustment
     """Adjustment with the findings in the model."""
 
 
@@ -87,7 +89,7 @@ class Diagnosis(ResultFile):
     _arrays: DiagnosisArrays | None = PrivateAttr(None)
 
     @classmethod
-    def of(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
+    def from_arrays(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
         """Diagnosis with its networks; `fields` are those of the file."""
         made = cls(**fields)
         made._arrays = arrays
@@ -101,19 +103,19 @@ class Diagnosis(ResultFile):
         return self._arrays
 
     @property
-    def targets(self) -> Targets:
+    def targets(self) -> AveragedTargets:
         """Coordinates with the findings in the model, averaged over the explanations."""
         return self.arrays.targets
 
     @property
-    def baseline(self) -> Adjustment:
+    def baseline_adjustment(self) -> Adjustment:
         """Adjustment of the ordinary model."""
-        return self.arrays.baseline
+        return self.arrays.baseline_adjustment
 
     @property
-    def adjusted(self) -> Adjustment:
+    def final_adjustment(self) -> Adjustment:
         """Adjustment with the findings in the model."""
-        return self.arrays.adjusted
+        return self.arrays.final_adjustment
 
     def _lines(self) -> list[str]:
         lines = [f"Diagnosis: {self.verdict}", self.summary]
@@ -129,33 +131,33 @@ class Diagnosis(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "findings": self._findings,
-            "targets": self._coordinates,
-            "fit": self._fit,
-            "undetectable": lambda: UNDETECTABLE.filled(self.undetectable),
-            "detectable": lambda: DETECTABLE.filled(self.detectable),
-            "residuals": lambda: residuals_table(self.adjusted),
-            "residuals_before": lambda: residuals_table(self.baseline),
+            "findings": self._findings_table,
+            "targets": self._coordinates_table,
+            "fit": self._fit_table,
+            "undetectable": lambda: UNDETECTABLE_TABLE.with_rows(self.undetectable),
+            "detectable": lambda: DETECTABLE_TABLE.with_rows(self.detectable),
+            "residuals": lambda: residuals_table(self.final_adjustment),
+            "residuals_before": lambda: residuals_table(self.baseline_adjustment),
         }
 
-    def _coordinates(self) -> Table:
+    def _coordinates_table(self) -> Table:
         """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
         sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
-        change = self.targets.points - self.baseline.state.target_points
+        change = self.targets.points - self.baseline_adjustment.state.target_points
         rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
-        named = zip(self.adjusted.recording.targets, rows, strict=True)
-        return TARGETS.filled([name, *row] for name, row in named)
+        named = zip(self.final_adjustment.recording.targets, rows, strict=True)
+        return DIAGNOSED_TARGETS_TABLE.with_rows([name, *row] for name, row in named)
 
-    def _fit(self) -> Table:
+    def _fit_table(self) -> Table:
         both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))
-        return FIT.filled(
+        return FIT_TABLE.with_rows(
             [words, f.chi2, f.dof, f.chi2 / f.dof if f.dof > 0 else None, f.held_out_rms] for words, f in both
         )
 
-    def _findings(self) -> Table:
+    def _findings_table(self) -> Table:
         """Table of findings, one row per parameter; an unknown effect without parameters has one row."""
-        nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
-        return FINDINGS.filled(
+        nothing = ParameterEstimate.model_construct(name="", value=math.nan, sigma=math.nan)
+        return FINDINGS_TABLE.with_rows(
             [
                 f.effect,
                 *(" ".join(names) for names in (f.where.stations, f.where.targets, f.where.observables)),
@@ -171,7 +173,7 @@ class Diagnosis(ResultFile):
         Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
         recording that was diagnosed; readings without a modelled change have 0.
         """
-        adjusted, state = self.adjusted, self.adjusted.state
+        adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
         change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
         change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
@@ -184,7 +186,7 @@ class Diagnosis(ResultFile):
 
         A length that the diagnosis rejects changes by its difference from the adjusted distance.
         """
-        problem, state = self.adjusted.problem, self.adjusted.state
+        problem, state = self.final_adjustment.problem, self.final_adjustment.state
         none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
         shifts = problem.length_residuals(none) - problem.length_residuals(state)
         gauge = problem.gauge_rows
@@ -201,16 +203,17 @@ class Diagnosis(ResultFile):
         ends = zip(lengths.first_targets.tolist(), lengths.second_targets.tolist(), strict=True)
         return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
 
-    def variance_factors(self, recording: Recording) -> Floats:
-        """Factors (n, 3) on the declared variance of the readings in the model of the diagnosis; 1 if unchanged."""
-        return np.nan_to_num((self.adjusted.problem.sigma / recording.sigma()) ** 2, nan=1.0)
+    @property
+    def variance_factors(self) -> Floats:
+        """Factors (n, 3) on the declared variance of the readings: posterior means; 1 without a change of the noise."""
+        return self.arrays.variance_factors
 
     @property
-    def coefficients(self) -> int:
+    def n_coefficients(self) -> int:
         """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings.
 
         The ratio of w components of a law counts as w - 1.
         """
-        model = self.adjusted.problem.model
+        model = self.final_adjustment.problem.model
         ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)
         return model.n_effect_parameters + ratios or sum(len(finding.parameters) for finding in self.findings)

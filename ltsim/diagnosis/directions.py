@@ -10,17 +10,15 @@ import numpy as np
 from scipy.special import gammaln
 
 from ltsim.core.arrays import Floats
-from ltsim.diagnosis.evidence import evidence_with, posterior
+from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
 
-ITERATIONS = 10
+N_RATIO_ITERATIONS = 10
 """Number of alternating steps for the ratio and the coefficients."""
-DIGITS = 4
+RATIO_DECIMALS = 4
 """Number of decimals of a ratio, so that a law is equal to the one that is read from its text form."""
 
 
-def best_direction(
-    gram: Floats, score: Floats, spread: Floats, components: int
-) -> tuple[tuple[float, ...], float, float]:
+def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> tuple[tuple[float, ...], float, float]:
     """Best ratio (w,) of the components of a law, the log evidence with that ratio, and the log share of such ratios.
 
     The sum of both is the log evidence with the ratio integrated.
@@ -35,22 +33,24 @@ def best_direction(
     k = len(score) // components
     products, scores = gram.reshape(components, k, components, k), score.reshape(components, k)
     common_spread = spread[:k] * np.sqrt(components)
-    full = posterior(gram, score, spread)[0].reshape(components, k)
+    full = coefficient_posterior(gram, score, spread)[0].reshape(components, k)
     ratio = np.linalg.svd(full / spread[:k], full_matrices=False)[0][:, 0]
-    for _ in range(ITERATIONS):
-        mean = posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[0]
+    for _ in range(N_RATIO_ITERATIONS):
+        mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
+            0
+        ]
         normal = np.einsum("a,iajb,b->ij", mean, products, mean)
         step = np.linalg.lstsq(normal, scores @ mean, rcond=1e-9)[0]
         if not step.any():
             break
         ratio = step / np.linalg.norm(step)
-    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), DIGITS)
+    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
     inner = np.einsum("i,iajb,j->ab", ratio, products, ratio)
-    mean = posterior(inner, ratio @ scores, common_spread)[0]
+    mean = coefficient_posterior(inner, ratio @ scores, common_spread)[0]
     cross = np.einsum("a,iajb,j->ib", mean, products, ratio)
     curvature = np.einsum("a,iajb,b->ij", mean, products, mean)
     curvature -= cross @ np.linalg.solve(inner + np.diag(common_spread**-2.0), cross.T)
-    evidence = float(evidence_with(inner, ratio @ scores, common_spread))
+    evidence = float(log_evidence_of_coefficients(inner, ratio @ scores, common_spread))
     return tuple(ratio.tolist()), evidence, _log_share_of_ratios(curvature, ratio)
 
 

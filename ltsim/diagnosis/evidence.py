@@ -32,19 +32,20 @@ from ltsim.core.arrays import Bools, Floats, Ints, Singles
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
-TIE, SCREENED_TIE = 1e-6, 1e-4
-"""Differences of log evidences up to which these count as equal, in double and in single precision: rounding of sums,
-which depends on the processor, must not decide.
-"""
+MAX_EVIDENCE_TIE = 1e-6
+"""Difference of log evidences up to which they count as equal: rounding of sums, which depends on the processor, must
+not decide."""
+MAX_SCREENED_EVIDENCE_TIE = 1e-4
+"""Difference of log evidences in single precision up to which they count as equal."""
 
 
-def best_of(values: Floats) -> int:
+def index_of_best(values: Floats) -> int:
     """Index of the largest value; the middle one if several are equal, as on a plateau."""
-    best = np.flatnonzero(values >= np.max(values) - TIE)
+    best = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
     return int(best[(len(best) - 1) // 2])
 
 
-def ranked(values: Floats, tie: float = TIE) -> Ints:
+def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
     """Indices in the order of decreasing values; values equal within `tie` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
@@ -52,33 +53,35 @@ def ranked(values: Floats, tie: float = TIE) -> Ints:
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
 
 
-def shares(logs: Floats) -> Floats:
+def normalised_probabilities(logs: Floats) -> Floats:
     """Probabilities (k,) from unnormalised log probabilities (k,)."""
     probabilities: Floats = np.exp(logs - log_sum_exp(logs))
     return probabilities
 
 
-AT_ONCE = 500_000
+MAX_SIMULATED_SCORES = 500_000
 """Largest number of simulated scores in memory at a time, some tens of MB."""
 
 
-def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
+def simulated_log_evidence(scores: Floats, strength: Floats) -> Floats:
     """`log_evidence` (h, trials) of scores (h, k, trials) of simulated residuals, in single precision."""
-    parts = [_summed(logs, 1) for logs in _simulated(scores, strength, np.zeros(len(scores)))]
+    parts = [
+        _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, strength, np.zeros(len(scores)))
+    ]
     evidence: Floats = np.concatenate(parts).astype(np.float64)
     return evidence
 
 
-def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
+def simulated_log_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
     """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
     flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
-    parts = [_summed(logs, (0, 1)) for logs in _simulated(*flat, log_prior)]
+    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flat, log_prior)]
     return log_sum_exp(np.stack(parts).astype(np.float64))
 
 
-def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
+def _simulated_log_evidence(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
     """Log evidence with priors, (h, sizes, trials), in batches of hypotheses."""
-    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
+    step = max(1, MAX_SIMULATED_SCORES * len(scores) // max(scores.size, 1))
     for i in range(0, len(scores), step):
         weights, constants = size_weights_and_constants(strength[i : i + step])
         constants += log_prior[i : i + step, None]
@@ -87,7 +90,7 @@ def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) ->
         yield logs
 
 
-def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
+def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
     """Log of the sum of exp(logs) along axes; `logs` is overwritten."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
@@ -95,7 +98,7 @@ def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
     return total
 
 
-def restricted(squares: Floats, share: Floats, factor: Floats) -> Floats:
+def log_restricted_likelihood_ratio(squares: Floats, share: Floats, factor: Floats) -> Floats:
     """Log restricted likelihood ratio of variances `factor` times as large, in its diagonal form, reading by reading.
 
     `squares` are those of whitened residuals, `share` the redundancies; or sums of both over readings of equal factor.
@@ -104,7 +107,7 @@ def restricted(squares: Floats, share: Floats, factor: Floats) -> Floats:
     return ratio
 
 
-def log_means(values: Floats, groups: Ints, count: int) -> Floats:
+def log_means_by_group(values: Floats, groups: Ints, count: int) -> Floats:
     """Log of the mean of exp(values) in each of `count` non-empty groups, for values (k,) or (k, trials)."""
     order = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[order], np.arange(count))
@@ -115,25 +118,25 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
-def evidence_with(gram: Floats, score: Floats, spread: Floats) -> Floats:
+def log_evidence_of_coefficients(gram: Floats, score: Floats, spread: Floats) -> Floats:
     """Log evidence (...) of coefficients with prior N(0, t^2 spread^2), averaged over sizes.
 
     Parameters
     ----------
     gram, score, spread : (..., k, k), (..., k), (..., k) float
     """
-    strength, turn = _along_eigenvectors(gram, spread)
+    strength, turn = _eigen_decomposition(gram, spread)
     return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, strength)
 
 
-def posterior(
+def coefficient_posterior(
     gram: Floats, score: Floats, spread: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats, float]:
     """Mean (k,), covariance (k, k) and log evidence of coefficients with prior N(0, t^2 spread^2), averaged over t."""
-    strength, turn = _along_eigenvectors(gram, spread)
+    strength, turn = _eigen_decomposition(gram, spread)
     z = turn.T @ score
     logs = log_evidence_by_size(z**2, size_weights_and_constants(strength, sizes, log_weights))
-    weight = shares(logs)
+    weight = normalised_probabilities(logs)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * strength)
     means = variances * z
     mean = weight @ means
@@ -142,44 +145,44 @@ def posterior(
     return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
 
 
-def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def _eigen_decomposition(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that transforms scores to them."""
     strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
     return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
-WIDE = 30.0
+WIDE_PRIOR_SIZES = 30.0
 """Prior standard deviation of reported sizes, in plausible sizes: it hardly shrinks them, but keeps undetermined
 combinations finite.
 """
 
 
-def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (k,), covariance (k, k) and log evidence of coefficients with a prior of `WIDE` plausible sizes."""
-    return posterior(gram, score, spread, np.array([WIDE]), np.zeros(1))
+def wide_prior_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
+    """Mean (k,), covariance (k, k) and log evidence of coefficients with a prior of `WIDE_PRIOR_SIZES`."""
+    return coefficient_posterior(gram, score, spread, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
 
 
-def sign_weight(mean: float, sigma: float) -> float:
+def log_sign_weight(mean: float, sigma: float) -> float:
     """Log factor on the evidence of a nonnegative parameter: twice the posterior probability of a positive size."""
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
 
 
-def evidence_of(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
+def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = effect.size_scales
     if not any(p.is_positive for p in effect.parameters):
-        return float(evidence_with(gram, score, spread))
-    mean, covariance, total = posterior(gram, score, spread)
+        return float(log_evidence_of_coefficients(gram, score, spread))
+    mean, covariance, total = coefficient_posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
+        total += log_sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
     return total
 
 
-COARSEST = 1e4
+MAX_SIZE_FACTOR = 1e4
 """Largest factor on the plausible size of a tracker: millimetres in place of tenths of a micrometre."""
 
 
-def times_to_noise(strength: Floats) -> float:
+def noise_level_factor(strength: Floats) -> float:
     """Factor (>= 1) that raises a plausible size to the noise level; smaller effects are undetectable.
 
     `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
@@ -189,13 +192,14 @@ def times_to_noise(strength: Floats) -> float:
     if not len(touched):
         return 1.0
     median = 0.5 * float(touched[(len(touched) - 1) // 2] + touched[len(touched) // 2])
-    return 1.0 / min(max(median, 1.0 / COARSEST), 1.0)
+    return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR), 1.0)
 
 
-MIN_SHARE, MIN_PROJECTED_SHARE = 0.01, 0.1
-"""Smallest fractions of the squared signature, and of the squared projected signature, of an observable on which an
-effect is reported to act: the adjustment spreads a shift of one observable over the others.
-"""
+MIN_ACTIVE_FRACTION = 0.01
+"""Smallest fraction of the squared signature of an observable on which an effect is reported to act."""
+MIN_PROJECTED_ACTIVE_FRACTION = 0.1
+"""Smallest fraction of the squared projected signature of such an observable: the adjustment spreads a shift of one
+observable over the others."""
 
 
 def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str, ...]:
@@ -203,11 +207,13 @@ def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str
 
     `done` (r,) is its whitened shift of the readings in `use` (n, 3), `projected` (r,) the projection of that.
     """
-    active = (_share(use, done) >= MIN_SHARE) & (_share(use, projected) >= MIN_PROJECTED_SHARE)
+    active = (_observable_fractions(use, done) >= MIN_ACTIVE_FRACTION) & (
+        _observable_fractions(use, projected) >= MIN_PROJECTED_ACTIVE_FRACTION
+    )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
 
-def _share(use: Bools, shift: Floats) -> Floats:
+def _observable_fractions(use: Bools, shift: Floats) -> Floats:
     """Fraction (3,) of the squares of a shift (r,) in each observable."""
     kind = np.nonzero(use)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
@@ -215,7 +221,7 @@ def _share(use: Bools, shift: Floats) -> Floats:
     return fraction
 
 
-SHARES = np.geomspace(0.05, 1.0, 9)
+DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
 """Relative discrepancies of an unmodelled cause from the best hypothesis, log-uniform from hardly
 visible to complete.
 """
@@ -225,8 +231,8 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     """Log Bayes factor of an unmodelled cause that resembles a hypothesis, relative to the hypothesis itself.
 
     Such a cause differs from the hypothesis by a random shift of each reading of standard deviation delta times the rms
-    shift in its observable, delta log-uniform over `SHARES`. The residuals support or contradict that added variance
-    through the restricted likelihood; for a weak effect the factor is near 1.
+    shift in its observable, delta log-uniform over `DISCREPANCY_RATIOS`. The residuals support or contradict that added
+    variance through the restricted likelihood; for a weak effect the factor is near 1.
 
     Parameters
     ----------
@@ -240,6 +246,6 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
     count = np.maximum(np.bincount(kind, minlength=3), 1)
     size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
-    variance = 1.0 + SHARES[:, None] ** 2 * size
-    logs = restricted(square, share, variance).sum(axis=1)
-    return float(log_sum_exp(logs) - np.log(len(SHARES)))
+    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * size
+    logs = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
+    return float(log_sum_exp(logs) - np.log(len(DISCREPANCY_RATIOS)))

@@ -12,24 +12,29 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
+from ltsim.diagnosis.evidence import (
+    MAX_EVIDENCE_TIE,
+    index_of_best,
+    log_evidence_of_coefficients,
+    log_evidence_of_effect,
+)
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 
-T = TypeVar("T", bound=CandidateEffect)
-Place = tuple[tuple[str, ...], tuple[str, ...]]
-MOST_STEPS = 12
+CachedType = TypeVar("CachedType", bound=CandidateEffect)
+PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
+MAX_SEARCH_STEPS = 12
 """Largest number of steps of the local search."""
-AT_ONCE = 3_000_000
+MAX_SIGNATURE_ENTRIES = 3_000_000
 """Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
-class Rows(NamedTuple):
+class ResidualRows(NamedTuple):
     """Rows of the residual space, and the pointing (r,) of each row that is a reading."""
 
-    place: Ints | slice
+    rows: Ints | slice
     pointing: Ints
 
 
@@ -40,90 +45,92 @@ class EvidenceCalculator:
         self.space = space
         self._pointing = np.nonzero(space.used_readings)[0]
         self._grams: dict[CandidateEffect, Floats] = {}
-        self._carried: dict[str, Floats] = {}
-        self._rows: dict[Place, Rows] = {}
+        self._changes_by_response: dict[str, Floats] = {}
+        self._rows: dict[PlaceKey, ResidualRows] = {}
 
-    def moments(self, effects: Sequence[CandidateEffect], base: Model) -> list[tuple[Floats, Floats]]:
+    def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
             chosen = [effects[i] for i in members]
-            signatures, edges = self._signatures(chosen, rows)
-            self._project(chosen, signatures, edges, rows)
-            overlap, score = base.basis[rows.place].T @ signatures, base.residual[rows.place] @ signatures
+            signatures, edges = self._adjacent_signatures(chosen, rows)
+            self._cache_projected_grams(chosen, signatures, edges, rows)
+            overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
         return [moments[i] for i in range(len(effects))]
 
-    def evidence(self, effects: Sequence[CandidateEffect], base: Model) -> Floats:
+    def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
         """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
-        moments = self.moments(effects, base)
+        moments = self.gram_and_score(effects, base_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.is_positive for p in effect.parameters):
-                values[i] = evidence_of(effect, gram, score)
+                values[i] = log_evidence_of_effect(effect, gram, score)
             else:
                 by_size.setdefault(len(score), []).append(i)
         for members in by_size.values():
             spreads = np.stack([effects[i].size_scales for i in members])
             grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
-            values[members] = evidence_with(grams, scores, spreads)
+            values[members] = log_evidence_of_coefficients(grams, scores, spreads)
         return values
 
-    def refine_locally(self, effects: Sequence[T], base: Model) -> list[tuple[T, float]]:
+    def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
         """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
-        best, values = list(effects), self.evidence(effects, base)
+        best, values = list(effects), self.log_evidence(effects, base_model)
         means, moving = values.copy(), list(range(len(best)))
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_SEARCH_STEPS):
             candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
             means[moving] = values[moving]
             if not candidates:
                 break
-            logs = self.evidence([neighbour for neighbours in candidates.values() for neighbour in neighbours], base)
+            logs = self.log_evidence(
+                [neighbour for neighbours in candidates.values() for neighbour in neighbours], base_model
+            )
             edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
             moving = []
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
-                top = best_of(parts)
-                if parts[top] > values[i] + TIE:
+                top = index_of_best(parts)
+                if parts[top] > values[i] + MAX_EVIDENCE_TIE:
                     best[i], values[i] = neighbours[top], parts[top]
                     moving.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
-    def signature(self, effect: CandidateEffect) -> Floats:
+    def whitened_signature(self, effect: CandidateEffect) -> Floats:
         """Whitened signature (m, k) of an effect."""
         rows = self._rows_of(effect)
         whole = np.zeros((self.space.n_rows, len(effect.parameters)))
-        whole[rows.place] = self._signatures([effect], rows)[0]
+        whole[rows.rows] = self._adjacent_signatures([effect], rows)[0]
         return whole
 
-    def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[Rows, list[int]]]:
+    def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
         """Batches of effects that act on the same rows, as large as memory permits."""
-        by_rows: dict[int, tuple[Rows, list[int]]] = {}
+        by_rows: dict[int, tuple[ResidualRows, list[int]]] = {}
         for i, effect in enumerate(effects):
             rows = self._rows_of(effect)
             by_rows.setdefault(id(rows), (rows, []))[1].append(i)
         for rows, members in by_rows.values():
             ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
-            parts = np.split(members, np.flatnonzero(np.diff(ends // AT_ONCE)) + 1)
+            parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_SIGNATURE_ENTRIES)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
 
-    def _rows_of(self, effect: CandidateEffect) -> Rows:
+    def _rows_of(self, effect: CandidateEffect) -> ResidualRows:
         """Rows on which a law acts; all rows for other effects."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
-                self._rows[place] = Rows(slice(None), self._pointing)
+                self._rows[place] = ResidualRows(slice(None), self._pointing)
             elif place == ((), ()):
-                self._rows[place] = Rows(slice(len(self._pointing)), self._pointing)
+                self._rows[place] = ResidualRows(slice(len(self._pointing)), self._pointing)
             else:
                 acting = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
-                self._rows[place] = Rows(acting, self._pointing[acting])
+                self._rows[place] = ResidualRows(acting, self._pointing[acting])
         return self._rows[place]
 
-    def _signatures(self, effects: Sequence[CandidateEffect], rows: Rows) -> tuple[Floats, Ints]:
+    def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
         """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
@@ -134,20 +141,22 @@ class EvidenceCalculator:
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
             if name not in carried:
-                carried[name] = self._moved(name)[rows.place]
-            moved = effect.along_direction(carried[name], self.space.sightings, rows.pointing)
+                carried[name] = self._response_changes(name)[rows.rows]
+            moved = effect.change_along_direction(carried[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
             shape = len(signatures), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
         return signatures, edges
 
-    def _moved(self, name: str) -> Floats:
+    def _response_changes(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a response, computed once."""
-        if name not in self._carried:
-            self._carried[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
-        return self._carried[name]
+        if name not in self._changes_by_response:
+            self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
+        return self._changes_by_response[name]
 
-    def _project(self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: Rows) -> None:
+    def _cache_projected_grams(
+        self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: ResidualRows
+    ) -> None:
         """Computation of the Gram matrices of projected signatures of new effects, which are then cached."""
         new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
@@ -156,5 +165,5 @@ class EvidenceCalculator:
         if len(new) < len(effects):
             columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
         ends = np.append(0, np.cumsum(np.diff(edges)[new]))
-        grams = self.space.projector.gram_matrices(columns, ends, rows.place)
+        grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
         self._grams.update(zip((effects[i] for i in new), grams, strict=True))

@@ -6,19 +6,19 @@ from ltsim.adjustment.joint import COVARIANCE_FILE, covariance_csv
 from ltsim.adjustment.unmodelled import joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import BEFORE, TARGETS
+from ltsim.diagnosis.schema import DIAGNOSED_TARGETS_TABLE, RESIDUALS_BEFORE_TABLE
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
-RECORDING = "recording"
-COMPANIONS = (
-    TARGETS.file,
+RECORDING_FOLDER = "recording"
+COMPANION_FILES = (
+    DIAGNOSED_TARGETS_TABLE.file,
     COVARIANCE_FILE,
     RESIDUALS_TABLE.file,
-    BEFORE.file,
-    f"{RECORDING}/{OBSERVATIONS_FILE}",
-    f"{RECORDING}/{SETUP_FILE}",
+    RESIDUALS_BEFORE_TABLE.file,
+    f"{RECORDING_FOLDER}/{OBSERVATIONS_FILE}",
+    f"{RECORDING_FOLDER}/{SETUP_FILE}",
 )
 
 
@@ -35,14 +35,16 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         When the folder cannot be written.
     """
     texts = {
-        TARGETS.file: diagnosis.table("targets").csv(),
+        DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv(),
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv(),
-        BEFORE.file: diagnosis.table("residuals_before").csv(),
+        RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv(),
     }
-    added = joint_air_covariance(diagnosis.adjusted)
-    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread, added_covariance=added)
+    added = joint_air_covariance(diagnosis.final_adjustment)
+    covariance = covariance_csv(
+        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=added
+    )
     texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
     if recording is not None:
-        copied = recording_texts(recording, folder / RECORDING)
-        texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
+        copied = recording_texts(recording, folder / RECORDING_FOLDER)
+        texts |= {f"{RECORDING_FOLDER}/{name}": text for name, text in copied.items()}
     return write_result(folder, diagnosis, texts)

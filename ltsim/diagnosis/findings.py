@@ -13,18 +13,25 @@ from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.detectability import distortion, separating_measurement
-from ltsim.diagnosis.evidence import active_observables, log_bayes_factor_discrepancy, posterior
-from ltsim.diagnosis.forms import curve_of
+from ltsim.diagnosis.detectability import separating_measurement, target_distortion
+from ltsim.diagnosis.evidence import active_observables, coefficient_posterior, log_bayes_factor_discrepancy
+from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
-from ltsim.diagnosis.instruments import TINY
+from ltsim.diagnosis.instruments import MIN_TESTED_INFORMATION
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import SAME_OBSERVABLE
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
+from ltsim.diagnosis.prior import P_SAME_OBSERVABLE
+from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, ParameterEstimate
+from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.diagnosis.words import LIKELY, catalogue_sentence, law_sentence, outside_sentence, without_clock
-from ltsim.physics.effects import BASELINE
-from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
+from ltsim.diagnosis.words import (
+    MIN_PROBABLE,
+    catalogue_sentence,
+    estimate_without_clock,
+    law_sentence,
+    unknown_effect_sentence,
+)
+from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -34,25 +41,27 @@ from ltsim.physics.laws.words import covariate_value_text, law_suffix, region_te
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MOST_EQUIVALENTS = 3
+MAX_EQUIVALENTS = 3
 """Largest number of reported equivalents."""
-MOST_ESTIMATES = 12
+MAX_REPORTED_NOISE_SIZES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
-FEW_READINGS, MOSTLY = 4, 0.8
-"""Largest number of listed readings, and fraction of the chi-square decrease that they must have together."""
-SURE = 2.0
+MAX_LISTED_READINGS = 4
+"""Largest number of readings that a sentence lists."""
+MIN_LISTED_CHI2_FRACTION = 0.8
+"""Smallest fraction of the chi-square decrease that the listed readings have together."""
+MIN_SIGNIFICANT_SIGMAS = 2.0
 """A size is significant if it exceeds this many standard deviations (two-sided 5 %)."""
-BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
+BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in BASELINE_EFFECTS)
 """Effects of the ordinary calibration, which are findings only if they exceed their prior."""
-IMPLAUSIBLE = 5.0
+MIN_IMPLAUSIBLE_SIZE_RATIO = 5.0
 """Multiple of a large but plausible size that an implausible size exceeds by two standard deviations."""
 
 
 @dataclass(frozen=True)
-class Explained:
+class ExplainedRecording:
     """Explanation of a recording, searched and refitted, from which its findings are reported."""
 
-    case: SelectionState
+    state: SelectionState
     detection: Detection
     model: Model
     refit: Refit
@@ -61,17 +70,18 @@ class Explained:
 
     def _ranking(self, member: int) -> Ranking:
         """Ranking of all alternatives to a member, changes of the noise and an unmodelled cause included."""
-        searcher, model = self.case.searcher, self.model
-        others = searcher.without(model, member)
+        searcher, model = self.state.searcher, self.model
+        others = searcher.model_without(model, member)
         noises = [
-            Hypothesis(change.effect, 0.0, value, change.effect.name) for value, change in self.case.noises(others)
+            Hypothesis(change.effect, 0.0, value, change.effect.name)
+            for value, change in self.state.ranked_noise(others)
         ]
-        effect, spread = self.refit.effects[member], model.members[member].spread
-        mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
+        effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
+        mean = coefficient_posterior(*searcher.evidence_calculator.gram_and_score([effect], others)[0], spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
-        return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
+        return searcher.ranking(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
         """Posterior probability that the named effect is the cause.
@@ -80,10 +90,10 @@ class Explained:
         """
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
-            return ranking.probabilities().get(hypothesis.name, 0.0)
+            return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
-        same = ranking.share(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
-        return same + SAME_OBSERVABLE * ranking.p_unmodelled
+        same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
+        return same + P_SAME_OBSERVABLE * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:
@@ -93,106 +103,123 @@ class Explained:
     @cached_property
     def p_located(self) -> list[float]:
         """Probability that some effect has each member's observables, place and covariates, whichever effect it is."""
-        return [self._p_located(i) for i in range(len(self.model.members))]
+        return [self._p_located_of(i) for i in range(len(self.model.members))]
 
     @cached_property
-    def gains(self) -> list[Floats]:
+    def squared_residual_decreases(self) -> list[Floats]:
         """Decrease of the squared residuals (m,) by each member given the others."""
-        without = (self.case.searcher.without(self.model, i) for i in range(len(self.model.members)))
+        without = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
         return [others.residual**2 - self.model.residual**2 for others in without]
 
     @cached_property
-    def withheld(self) -> tuple[str, ...]:
+    def withheld_keys(self) -> tuple[str, ...]:
         """Keys of improbable members, which are in the model but not reported.
 
         The strongest is reported if there is no other finding.
         """
-        members, gains = self.model.members, [gain.sum() for gain in self.gains]
+        members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         doubtful = [
-            self.chance(i) < LIKELY and (self.has_test_findings or gains[i] < max(gains)) for i in range(len(members))
+            self.p_real(i) < MIN_PROBABLE and (self.has_test_findings or gains[i] < max(gains))
+            for i in range(len(members))
         ]
         return tuple(member.key for member, doubt in zip(members, doubtful, strict=True) if doubt)
 
-    def chance(self, member: int) -> float:
+    def p_real(self, member: int) -> float:
         """Probability that a member is real, whatever its name.
 
-        It is 0 if no size exceeds `SURE` standard deviations, or if it has more parameters than the effective number of
-        readings that support it (participation ratio), or if neither place, observable nor form is determined.
+        It is 0 if no size exceeds `MIN_SIGNIFICANT_SIGMAS` standard deviations, or if it has more parameters than the
+        effective number of readings that support it (participation ratio), or if neither place, observable nor form is
+        determined.
         """
-        effect, gain = self.refit.effects[member], self.gains[member]
+        effect, gain = self.refit.effects[member], self.squared_residual_decreases[member]
         sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
-        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * n_constants(effect)
+        together = len(sizes) > 1 and float(gain.sum()) > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         sized = (
-            isinstance(effect, EmpiricalLaw) or together or any(abs(size.value) > SURE * size.sigma for size in sizes)
+            isinstance(effect, EmpiricalLaw)
+            or together
+            or any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in sizes)
         )
         p_located = self.p_located[member]
-        says = self._where(effect) != Where(covariates=covariate_file_names(effect.covariates)) or p_located >= LIKELY
+        says = (
+            self._scope(effect) != FindingScope(covariates=covariate_file_names(effect.covariates))
+            or p_located >= MIN_PROBABLE
+        )
         # effective number of readings that carry the gain (participation ratio)
-        carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
+        carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), MIN_TESTED_INFORMATION))
         return max(self.probability(member), p_located) if sized and says and carried >= n_constants(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """Finding of a member, a mean shift, given the others."""
-        searcher, model, ranking = self.case.searcher, self.model, self.rankings[member]
-        space, others = searcher.space, searcher.without(model, member)
+        searcher, model, ranking = self.state.searcher, self.model, self.rankings[member]
+        space, others = searcher.space, searcher.model_without(model, member)
         hypothesis = replace(model.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
+        probability, rivals = self.probability(member), name_probabilities(ranking.probabilities_by_name(), name)[1]
         p_located = self.p_located[member]
-        gain = self.gains[member]
-        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
+        gain = self.squared_residual_decreases[member]
+        mean = coefficient_posterior(
+            *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
+        )[0]
         signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
         done = signature @ mean
-        projected = searcher.with_members([hypothesis]).projected[0] @ mean
-        where = self._where(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
-        estimates = self._estimates(member, hypothesis, others)
+        projected = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
+        where = self._scope(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
+        estimates = self._estimates_of(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, EmpiricalLaw):
             more = {
                 "carrier": effect.response.name,
-                "driver": regressor_text(effect.regressor, clock=self.case.recording.has_clock),
+                "driver": regressor_text(effect.regressor, clock=self.state.recording.has_clock),
             }
-            more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
-            law = law_words(effect, more["driver"])
+            more["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
+            law = law_text(effect, more["driver"])
             sentence = law_sentence(where, estimates, p_located, law)
             more["formula"] = "" if hypothesis.is_catalogued else law
         elif isinstance(effect, Effect):
             other_effects = [e for k, e in enumerate(self.refit.effects) if k != member]
             names = [rival.effect for rival in rivals]
-            more["separate_by"] = separating_measurement(self.case.baseline, name, names, other_effects)
+            more["separate_by"] = separating_measurement(self.state.baseline, name, names, other_effects)
         if hypothesis.is_catalogued:
-            doubt = self._doubt(effect, estimates)
+            doubt = self._plausibility_sentence(effect, estimates)
             sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
-        more["moves_targets_um"] = moved = distortion(space, done)
+        more["moves_targets_um"] = moved = target_distortion(space, done)
         touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
         felt = number_text(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {felt} sigma (rms)"
-        sentence += f" and shifts the targets by {number_text(moved, 2)} um (rms).{self._readings(gain)}"
+        sentence += f" and shifts the targets by {number_text(moved, 2)} um (rms).{self._readings_sentence(gain)}"
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
             where=where,
             parameters=estimates,
-            evidence=Evidence(
+            evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
                 parameters=model.basis.shape[1] - others.basis.shape[1],
-                p_value=self.detection.chance(ranking.total),
+                p_value=self.detection.p_value_of(ranking.log_evidence_total),
                 probability=probability,
                 p_located=p_located,
             ),
             sentence=sentence,
             equivalents=rivals,
-            **_without_empty(more),
+            **_non_empty_entries(more),
         )
 
-    def _readings(self, gain: Floats) -> str:
+    def _readings_sentence(self, gain: Floats) -> str:
         """Sentence on the readings with most of a gain (m,), if they are few."""
-        use, recording = self.case.searcher.space.used_readings, self.case.recording
+        use, recording = self.state.searcher.space.used_readings, self.state.recording
         reading_gain = gain[: int(use.sum())]
         worst = np.argsort(-reading_gain)
-        count = int(np.searchsorted(np.cumsum(reading_gain[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
-        if count > FEW_READINGS:
+        count = (
+            int(
+                np.searchsorted(
+                    np.cumsum(reading_gain[worst]),
+                    MIN_LISTED_CHI2_FRACTION * max(float(gain.sum()), MIN_TESTED_INFORMATION),
+                )
+            )
+            + 1
+        )
+        if count > MAX_LISTED_READINGS:
             return ""
         at = [
             (int(row), int(kind)) for row, kind in zip(*(part[worst[:count]] for part in np.nonzero(use)), strict=True)
@@ -204,7 +231,7 @@ class Explained:
         )
         return f" Most of it is in the {', the '.join(names)}."
 
-    def _p_located(self, member: int) -> float:
+    def _p_located_of(self, member: int) -> float:
         """Probability of all explanations with the observables, place and covariates of a member.
 
         A moved, badly seated or wrongly read target is the same change: effects that act on one target alone count
@@ -212,58 +239,64 @@ class Explained:
         """
         effect = self.model.members[member].effect
 
-        def located(candidate: CandidateEffect) -> Where:
-            where = self._where(candidate)
+        def scope_of(candidate: CandidateEffect) -> FindingScope:
+            where = self._scope(candidate)
             if where.targets and not isinstance(effect, EmpiricalLaw):
-                return Where(targets=where.targets)
+                return FindingScope(targets=where.targets)
             return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
-        scope = located(effect)
-        return self.rankings[member].share(lambda h: located(h.effect) == scope)
+        scope = scope_of(effect)
+        return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
-    def _where(self, effect: CandidateEffect, carried: tuple[str, ...] = ()) -> Where:
+    def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
-        where = where_of(effect, carried)
-        for tracker in instrument_places(self.case.searcher.space.sightings, self.case.recording.instruments):
+        where = effect_scope(effect, carrying_observables)
+        for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
             if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return where
 
-    def _doubt(self, effect: CandidateEffect, estimates: Sequence[Estimate]) -> str:
+    def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
-        recording = self.case.recording
-        if isinstance(effect, BASELINE_KINDS):
-            name = recording.instruments[self._instrument(effect)]
+        recording = self.state.recording
+        if isinstance(effect, BASELINE_EFFECT_TYPES):
+            name = recording.instruments[self._instrument_index(effect)]
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause: check other causes too."
-        return implausible if _implausible(effect, estimates) else ""
+        return implausible if _is_implausible_size(effect, estimates) else ""
 
-    def _constants(self, effect: CandidateEffect) -> tuple[Estimate, ...]:
+    def _constants_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
         """Constants of an instrument from the readings without their own prior, with the priors of the others."""
-        adjustment, which = self.case.baseline, self._instrument(effect)
-        prior = prior_sigmas(self.case.recording, adjustment.construction)[which]
+        adjustment, which = self.state.baseline, self._instrument_index(effect)
+        prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
-        wider = 1.0 / np.maximum(1.0 - variance / prior**2, TINY)
+        wider = 1.0 / np.maximum(1.0 - variance / prior**2, MIN_TESTED_INFORMATION)
         value, sigma = adjustment.state.instrument_parameters[which] * wider, np.sqrt(variance * wider)
         at = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
-        return tuple(Estimate.of(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True))
+        return tuple(
+            ParameterEstimate.from_si(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True)
+        )
 
-    def _instrument(self, effect: CandidateEffect) -> int:
+    def _instrument_index(self, effect: CandidateEffect) -> int:
         """Index of the instrument whose set-ups an effect is confined to."""
-        recording = self.case.recording
+        recording = self.state.recording
         at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == at][0])
 
-    def _estimates(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[Estimate, ...]:
+    def _estimates_of(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[ParameterEstimate, ...]:
         """Sizes of a member, in rows in place of time for a recording without clock."""
-        refitted = [Estimate.of(*estimate) for estimate in self.refit.estimates[member] if np.isfinite(estimate.sigma)]
-        if isinstance(hypothesis.effect, BASELINE_KINDS):
-            return self._constants(hypothesis.effect)
-        estimates = self.case.searcher.estimates(hypothesis, others, refitted)
-        return estimates if self.case.recording.has_clock else tuple(without_clock(e) for e in estimates)
+        refitted = [
+            ParameterEstimate.from_si(*estimate)
+            for estimate in self.refit.estimates[member]
+            if np.isfinite(estimate.sigma)
+        ]
+        if isinstance(hypothesis.effect, BASELINE_EFFECT_TYPES):
+            return self._constants_without_prior(hypothesis.effect)
+        estimates = self.state.searcher.estimates(hypothesis, others, refitted)
+        return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
 
 
 def noise_finding(
@@ -271,16 +304,16 @@ def noise_finding(
 ) -> Finding:
     """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
     effect = hypothesis.effect
-    where = where_of(effect, _scattering(hypothesis, sightings))
-    every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
-    rows = [Estimate.of(*names) for names in every if np.isfinite(names[2])]
+    where = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
+    every = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
+    rows = [ParameterEstimate.from_si(*names) for names in every if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
         more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
         if effect.group_kind:
-            rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES]
-            sure = [e for e in rows if e.value > SURE * e.sigma] or rows
+            rows = sorted(rows, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
+            sure = [e for e in rows if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or rows
             worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
@@ -290,34 +323,34 @@ def noise_finding(
         if effect.region is not None:
             most += f", {region_text(effect.region)}"
             rows += [
-                Estimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
+                ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
-        sentence = outside_sentence(where, effect.text + most)
+        sentence = unknown_effect_sentence(where, effect.text + most)
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
         where=where,
         parameters=tuple(rows),
-        evidence=Evidence(
-            chi2_drop=hypothesis.drop,
+        evidence=FindingEvidence(
+            chi2_drop=hypothesis.chi2_drop,
             parameters=len(rows),
-            p_value=detection.chance(hypothesis.evidence),
+            p_value=detection.p_value_of(hypothesis.evidence),
             probability=hypothesis.probability,
         ),
         sentence=sentence or catalogue_sentence(effect.name, where, rows, hypothesis.probability),
         equivalents=hypothesis.equivalents,
-        **_without_empty(more),
+        **_non_empty_entries(more),
     )
 
 
-def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
+def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Observables whose noise differs significantly from the declared one, in the direction of the largest size."""
     sizes = hypothesis.effect.size_scales
-    sizes_in_units = np.array(hypothesis.values) / sizes
+    sizes_in_units = np.array(hypothesis.sizes) / sizes
     sure = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
-        > SURE * np.array(hypothesis.sigma) / sizes
+        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / sizes
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
     acts = (hypothesis.effect.variance(sightings, unit_variance, np.where(sure, sizes, 0.0)) != unit_variance).any(
@@ -326,52 +359,31 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
 
 
-def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+def name_probabilities(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
     others = [
         Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
     ]
-    return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
+    return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
 
 
-def where_of(effect: CandidateEffect, carried: tuple[str, ...] = ()) -> Where:
-    """Scope of an effect; `carried` are the observables if the effect itself does not specify them."""
-    observables, stations = tuple(effect.observables), effect.stations
-    if isinstance(effect, NoiseEffect | VarianceFunction):
-        observables = carried or observables
-    instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
-    if isinstance(effect, EmpiricalLaw):
-        stations = () if effect.is_per_setup else stations
-        observables = effect.response.observables or carried or observables
-    return place_of(
-        observables=() if set(observables) == set(OBSERVABLES) else observables,
-        stations=() if instruments else stations,
-        targets=effect.targets,
-        instruments=instruments,
-        covariates=covariate_file_names(effect.covariates),
-    )
-
-
-def law_words(law: EmpiricalLaw, driver: str) -> str:
+def law_text(law: EmpiricalLaw, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
     return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 
-def place_of(**confined: tuple[str, ...]) -> Where:
-    """Scope confined to the given kinds, the others empty."""
-    return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
-
-
-def _without_empty(more: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(more: Mapping[str, Any]) -> dict[str, Any]:
     """Entries with a non-empty value."""
     return {key: value for key, value in more.items() if value}
 
 
-def _implausible(effect: CandidateEffect, estimates: Sequence[Estimate]) -> bool:
+def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
     """True if a size is far beyond a plausible one, or negative for a positive parameter."""
     sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
     matched = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
-    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.si_per_display_unit for e, p, size in matched)
+    large = any(
+        abs(e.value) - 2 * e.sigma > MIN_IMPLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matched
+    )
     return large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matched)

@@ -7,27 +7,28 @@ from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
-from ltsim.diagnosis.findings import among, place_of
-from ltsim.diagnosis.instruments import Contradiction
+from ltsim.diagnosis.findings import name_probabilities
+from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
-from ltsim.diagnosis.words import parameter_words, percent
-from ltsim.physics.effects import BASELINE
+from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
+from ltsim.diagnosis.scopes import confined_scope
+from ltsim.diagnosis.words import parameter_text, percent_text
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
-DECLARED = "declared coordinates"
+DECLARED_COORDINATES_TEXT = "declared coordinates"
 """Name of the erroneous item if a point defines the axes."""
 
 
-def gross_finding(gross: IdentifiedBlunder) -> Finding:
+def gross_error_finding(gross: IdentifiedBlunder) -> Finding:
     """Finding of a gross error whose size the network determines."""
     return Finding(
         effect=gross.effect,
         known=True,
-        where=place_of(observables=gross.observables, stations=gross.stations, targets=gross.targets),
-        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * gross.sigma, unit="mm"),),
-        evidence=Evidence(
+        where=confined_scope(observables=gross.observables, stations=gross.stations, targets=gross.targets),
+        parameters=(ParameterEstimate(name="size", value=1e3 * gross.size, sigma=1e3 * gross.sigma, unit="mm"),),
+        evidence=FindingEvidence(
             chi2_drop=(gross.size / gross.sigma) ** 2, parameters=3, p_value=None, probability=P_CAP_TESTS
         ),
         sentence=gross.sentence,
@@ -37,47 +38,47 @@ def gross_finding(gross: IdentifiedBlunder) -> Finding:
 def axis_finding(test: ReferenceTest) -> Finding:
     """Finding of a point whose declared coordinates contradict the axes of the other points."""
     rows = [
-        Estimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
+        ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
         if np.isfinite(s)
     ]
     return Finding(
         effect="unknown",
         known=False,
-        where=place_of(targets=(test.name,)),
+        where=confined_scope(targets=(test.name,)),
         parameters=tuple(rows),
-        evidence=Evidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
+        evidence=FindingEvidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
-        formula=f"the {DECLARED} of {test.name} is wrong",
-        carrier=DECLARED,
+        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} is wrong",
+        carrier=DECLARED_COORDINATES_TEXT,
     )
 
 
-def instrument_finding(contradiction: Contradiction) -> Finding:
+def instrument_finding(contradiction: ConstantContradiction) -> Finding:
     """Finding of a constant that contradicts the other instruments, its history or a declared correction."""
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.evidence)))
     chances: dict[str, float] = {}
     for constant, share in contradiction.rivals.items():
-        chances[_effect_of(constant)] = chances.get(_effect_of(constant), 0.0) + off * share
+        chances[_effect_of_constant(constant)] = chances.get(_effect_of_constant(constant), 0.0) + off * share
     estimate, (probability, rivals) = (
-        Estimate.of(p, contradiction.difference, contradiction.sigma),
-        among(chances, _effect_of(p)),
+        ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
+        name_probabilities(chances, _effect_of_constant(p)),
     )
-    others = " or ".join(parameter_words(other.name) for other in contradiction.rivals if other != p)
+    others = " or ".join(parameter_text(other.name) for other in contradiction.rivals if other != p)
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
     ambiguity = f" These readings hardly distinguish it from {others}." if others else ""
     sentence = (
-        f"The {parameter_words(p.name)} of {owners} differs by "
+        f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
-        f"probability {percent(off)}.{ambiguity}"
+        f"probability {percent_text(off)}.{ambiguity}"
     )
     drop = (contradiction.difference / contradiction.sigma) ** 2
     return Finding(
-        effect=_effect_of(p),
+        effect=_effect_of_constant(p),
         known=True,
-        where=place_of(instruments=tuple(filter(None, contradiction.instruments))),
+        where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
-        evidence=Evidence(
+        evidence=FindingEvidence(
             chi2_drop=drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
         ),
         sentence=sentence,
@@ -85,12 +86,12 @@ def instrument_finding(contradiction: Contradiction) -> Finding:
     )
 
 
-def _effect_of(constant: Parameter) -> str:
+def _effect_of_constant(constant: Parameter) -> str:
     """Effect of the ordinary calibration to which a constant belongs."""
-    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
+    return next(e.name for e in BASELINE_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
-EFFECTS = {
+EFFECT_BY_CAUSE = {
     ("constant-offset", "distance"): "range-offset",
     ("constant-offset", "elevation"): "vertical-index",
     ("scale-error", "distance"): "range-scale",
@@ -107,26 +108,26 @@ EFFECTS = {
 """Catalogue effect of a cause, by its kind and the observable on which it acts; `outlier` and `unknown` for others."""
 
 
-def finding_of(test: CauseTest) -> Finding:
+def finding_of_test(test: CauseTest) -> Finding:
     """Finding of an accepted test."""
-    name = "outlier" if test.kind == "outlier" else EFFECTS.get((test.kind, test.acts_on), "unknown")
+    name = "outlier" if test.kind == "outlier" else EFFECT_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
-    rows: tuple[Estimate, ...] = ()
+    rows: tuple[ParameterEstimate, ...] = ()
     if test.estimate is not None:
-        rows = (Estimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
+        rows = (ParameterEstimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
     formula = f"the {test.acts_on} of {', '.join((*test.where.stations, *test.where.targets))} is wrong"
     wrong = test.kind == "reference-value"
     return Finding(
         effect=name,
         known=name != "unknown",
-        where=place_of(observables=observables, stations=test.where.stations, targets=test.where.targets),
+        where=confined_scope(observables=observables, stations=test.where.stations, targets=test.where.targets),
         parameters=rows,
-        evidence=Evidence(
+        evidence=FindingEvidence(
             chi2_drop=test.statistic, parameters=test.dof, p_value=test.p_value, probability=test.probability or 1.0
         ),
         sentence=test.sentence,
         equivalents=tuple(
-            Equivalent(effect=EFFECTS.get((a.kind, "position"), a.kind), probability=a.probability)
+            Equivalent(effect=EFFECT_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
             for a in test.alternatives
         ),
         formula=formula if wrong else "",

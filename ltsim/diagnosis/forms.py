@@ -10,12 +10,12 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.diagnosis.directions import best_direction
-from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
+from ltsim.diagnosis.directions import best_ratio
+from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.prior import (
-    FORMS,
+    FORM_WEIGHTS,
     P_FIXED_RATIO,
     P_PER_SETUP,
     P_PIECEWISE,
@@ -24,108 +24,112 @@ from ltsim.diagnosis.prior import (
     P_SWITCHED,
 )
 from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
-from ltsim.diagnosis.schema import Curve
-from ltsim.diagnosis.space import ROOM
-from ltsim.diagnosis.switches import EARLY_STOP, number_of_waves, switched_forms
+from ltsim.diagnosis.schema import ResponseCurve
+from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
+from ltsim.diagnosis.switches import N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
 from ltsim.scene.sightings import Sightings
 
-TILT = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
+TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group that moves and tilts as one."""
-ABSORBED_ELSEWHERE = 0.5
+MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
 """Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
-MOST_PIECES = 10
+MAX_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
 
 def evaluate_forms(
-    exact: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base: Model, *, pieces: bool
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
 ) -> list[Hypothesis]:
     """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
-    sightings = exact.space.sightings
+    sightings = calculator.space.sightings
     law = law.equivalent_index_law(sightings)
     whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
-    tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
+    tried = _piecewise_forms(calculator, law, whole + float(np.log(P_PIECEWISE)), base_model) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
-    always, share = law.without_switch(), float(np.log(P_SWITCHED * number_of_waves(law, sightings)))
-    switched = switched_forms(exact, always, whole + share, base) if pieces else []
+    always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
+    switched = switched_forms(calculator, always, whole + share, base_model) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
     each = law.per_setup(sightings)
-    tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
-    tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
-    tried += _forms(exact, always, whole, base) if always != law else []
+    tried += _functional_forms(calculator, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base_model)
+    tried += _functional_forms(calculator, each, whole + np.log(P_PER_SETUP), base_model) if each else []
+    tried += _functional_forms(calculator, always, whole, base_model) if always != law else []
     factors = (
         [h for h in tried if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
         if pieces
         else []
     )
-    tried += product_forms(exact, factors[_best(factors)], base) if factors else []
-    tried = [form for hypothesis in tried for form in _with_ratio(exact, hypothesis, base)]
-    top = tried.pop(_best(tried))
-    tried += _places_of(exact, top, base)
+    tried += product_forms(calculator, factors[_index_of_best(factors)], base_model) if factors else []
+    tried = [form for hypothesis in tried for form in _forms_with_ratio(calculator, hypothesis, base_model)]
+    top = tried.pop(_index_of_best(tried))
+    tried += _forms_at_set_ups(calculator, top, base_model)
     best = []
     for name in {h.name: None for h in tried}:
         same_name = [h for h in tried if h.name == name]
-        total = float(log_sum_exp(np.array([h.value for h in same_name])))
-        best.append(replace(same_name[_best(same_name)], value=total))
+        total = float(log_sum_exp(np.array([h.log_evidence for h in same_name])))
+        best.append(replace(same_name[_index_of_best(same_name)], log_evidence=total))
     return best
 
 
-def _best(forms: Sequence[Hypothesis]) -> int:
+def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     """Index of the form with the largest evidence."""
-    return best_of(np.array([form.value for form in forms]))
+    return index_of_best(np.array([form.log_evidence for form in forms]))
 
 
-def _forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
+def _functional_forms(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+) -> list[Hypothesis]:
     """Functional forms of a law at its place."""
-    forms = law.candidate_forms(exact.space.sightings)
-    whole = sum(FORMS[kind] for kind in forms)
-    shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
+    forms = law.candidate_forms(calculator.space.sightings)
+    whole = sum(FORM_WEIGHTS[kind] for kind in forms)
+    shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / whole / len(sets))) for kind, sets in forms.items()}
     asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
     single, several = ([form for form in asked if (len(form[1]) == 1) == is_single] for is_single in (True, False))
-    climbed = exact.refine_locally([scales[0] for _, scales in single], base)
+    climbed = calculator.refine_locally([scales[0] for _, scales in single], base_model)
     candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
-    moments = exact.moments([scales[0] for _, scales in several], base)
+    moments = calculator.gram_and_score([scales[0] for _, scales in several], base_model)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.size_scales for scaled in scales])
-        logs = evidence_with(gram, score[None], spreads)
-        candidates.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
+        logs = log_evidence_of_coefficients(gram, score[None], spreads)
+        candidates.append((share, scales[index_of_best(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
-def _with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
-    gram, score = exact.moments([law], base)[0]
-    ratio, evidence, log_share = best_direction(gram, score, law.size_scales, law.components)
-    gain = evidence - float(evidence_with(gram, score, law.size_scales))
+    gram, score = calculator.gram_and_score([law], base_model)[0]
+    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.components)
+    gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
     share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
     return [
-        replace(form, log_prior=form.log_prior + other, value=form.value + other),
+        replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(
             form,
             effect=replace(law, direction=ratio),
             log_prior=form.log_prior + share,
-            value=form.value + gain + share,
+            log_evidence=form.log_evidence + gain + share,
         ),
     ]
 
 
-def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
-    law, stations = form.effect, exact.space.sightings.station_names
+    law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
         return [form]
     drivers = (
-        [law.regressor, CONSTANT_REGRESSOR, TILT] if law.targets and law.response.kind == "target" else [law.regressor]
+        [law.regressor, CONSTANT_REGRESSOR, TILT_REGRESSOR]
+        if law.targets and law.response.kind == "target"
+        else [law.regressor]
     )
     drivers = [d for d in dict.fromkeys(drivers) if all(f.covariates != ("station",) for f in (d, *d.factors))]
     laws = [
@@ -133,51 +137,63 @@ def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list
         for driver in drivers
         for name in stations
     ]
-    mask = [law.row_weights(exact.space.sightings).sum() for law in laws]
-    laws = [x for x, n in zip(laws, mask, strict=True) if n >= ROOM * len(x.parameters)]
+    mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
+    laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
-    values = exact.evidence(laws, base)
+    values = calculator.log_evidence(laws, base_model)
     made = [
         Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
     ]
-    confined = [other for hypothesis in made for other in _with_ratio(exact, hypothesis, base)]
-    evidence = form.value - form.log_prior
-    equal = [h for h in confined if abs(h.value - h.log_prior - evidence) < ABSORBED_ELSEWHERE]
-    same = [replace(h, log_prior=form.log_prior, value=h.value + form.log_prior - h.log_prior) for h in equal]
+    confined = [other for hypothesis in made for other in _forms_with_ratio(calculator, hypothesis, base_model)]
+    evidence = form.log_evidence - form.log_prior
+    equal = [h for h in confined if abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE]
+    same = [
+        replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior) for h in equal
+    ]
     return same[:1] or [form, *confined]
 
 
-def _in_pieces(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
+def _piecewise_forms(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+) -> list[Hypothesis]:
     """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
-    atoms = law.candidate_pieces(exact.space.sightings)
+    atoms = law.candidate_pieces(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
     whole = law.with_pieces(atoms)
-    gram, score = exact.moments([whole], base)[0]
+    gram, score = calculator.gram_and_score([whole], base_model)[0]
     spread = whole.size_scales
     places = np.arange(len(score)).reshape(len(whole.response.component_names), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
-    while len(chosen) < min(taken + EARLY_STOP, MOST_PIECES, len(atoms)):
+    while len(chosen) < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         free = [i for i in range(len(atoms)) if i not in chosen]
         columns = np.stack([places[:, [*chosen, i]].ravel() for i in free])
-        values[free] = evidence_with(gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns])
-        chosen.append(best_of(values))
+        values[free] = log_evidence_of_coefficients(
+            gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
+        )
+        chosen.append(index_of_best(values))
         value = float(log_sum_exp(values)) - len(chosen) * price
-        if value > best + TIE:
+        if value > best + MAX_EVIDENCE_TIE:
             best, taken = value, len(chosen)
-    refined, value = exact.refine_locally([law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
+    refined, value = calculator.refine_locally(
+        [law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base_model
+    )[0]
     prior -= taken * price
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 
 
-CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
-"""Number of points of a reported curve, of each cycle of a wave, and largest number of points."""
+N_CURVE_POINTS = 61
+"""Number of points of a reported curve."""
+N_POINTS_PER_CYCLE = 16
+"""Number of points of each cycle of a wave in a reported curve."""
+MAX_CURVE_POINTS = 600
+"""Largest number of points of a reported curve."""
 
 
-def curve_of(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
+def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> ResponseCurve | None:
     """Curve at the set-up and in the direction of the largest response; None with several covariates.
 
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
@@ -185,21 +201,21 @@ def curve_of(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: 
     driver = law.regressor
     if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.at_largest_effect(mean, covariance, sightings)
+    law, way, means, spread = law.law_at_largest_effect(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.row_weights(sightings) > 0]
     if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
-        at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
+        at = np.linspace(x.min(), x.max(), int(np.clip(N_POINTS_PER_CYCLE * cycles, N_CURVE_POINTS, MAX_CURVE_POINTS)))
         columns = fourier_columns(driver.constant * at, driver.n_columns // 2)
     else:
         order = np.argsort(x, kind="stable")
-        chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
+        chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
     unit, factor = law.response.display_unit_of(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
-    return Curve(
+    return ResponseCurve(
         covariate=driver.covariates[0],
         unit=unit,
         at=tuple(at.tolist()),

@@ -20,14 +20,14 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.evidence import wide_posterior
+from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
-FOLDS = 5
+N_FOLDS = 5
 """Number of folds, usual in cross-validation: each search has 80 % of the readings."""
 
 
-class HeldOut(NamedTuple):
+class HeldOutErrors(NamedTuple):
     """Root mean square errors in standard deviations: of the adjustment alone, and with the model of a fold.
 
     Both are None if nothing can be predicted; `after` also without a search.
@@ -37,13 +37,15 @@ class HeldOut(NamedTuple):
     after: float | None = None
 
 
-def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, threshold: float = 0.0) -> HeldOut:
+def cross_validated_errors(
+    space: ResidualSpace, seed: int, searcher: Searcher | None = None, threshold: float = 0.0
+) -> HeldOutErrors:
     """Prediction errors on held-out readings.
 
     Parameters
     ----------
     space : ResidualSpace
-        Its whitening defines the unit of the errors.
+        Residual space, whose whitening defines the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
@@ -52,28 +54,28 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
         Log evidence of a second and further finding.
     """
     before, after, count = 0.0, 0.0, 0
-    groups = folds(space, seed)
+    groups = fold_rows(space, seed)
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
-        before += _square(space.residuals[rows], values, vectors)
+        before += _quadratic_form_on_fold(space.residuals[rows], values, vectors)
         count += len(rows) - int(np.sum(values >= 1.0 - MIN_NUMERICAL_REDUNDANCY))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
-            remaining = space.residuals - space.project(_shift(space, fold_search, threshold))
-            after += _square(remaining[rows], values, vectors)
+            remaining = space.residuals - space.project(_selected_model_shift(space, fold_search, threshold))
+            after += _quadratic_form_on_fold(remaining[rows], values, vectors)
     if not count:
-        return HeldOut()
-    return HeldOut(float(np.sqrt(before / count)), None if searcher is None else float(np.sqrt(after / count)))
+        return HeldOutErrors()
+    return HeldOutErrors(float(np.sqrt(before / count)), None if searcher is None else float(np.sqrt(after / count)))
 
 
-def folds(space: ResidualSpace, seed: int) -> list[Ints]:
+def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     """Rows of the used readings of each fold of complete pointings, drawn at random."""
     pointing = np.nonzero(space.used_readings)[0]
-    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % FOLDS
-    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(FOLDS))
+    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
+    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in groups if len(rows)]
 
 
-def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
+def _quadratic_form_on_fold(residual: Floats, values: Floats, vectors: Floats) -> float:
     """Quadratic form r' (1 - H)^-1 r on a fold, from the eigenvalues of H there.
 
     The complement of the eigenvectors has redundancy one.
@@ -83,11 +85,11 @@ def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
     return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))
 
 
-def _shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
+def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
     """Shift (m,) of all whitened readings by the model that a search selects."""
-    model = searcher.search(threshold, something=True)
+    model = searcher.select_model(threshold, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)
-    mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
+    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
     signatures: Sequence[Floats] = [space.whitened_signature(effect) for effect in model.effects]
     return np.hstack(signatures) @ mean

@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import orthonormal_columns
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import best_of
+from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import CandidateEffect
@@ -25,9 +25,9 @@ class Hypothesis:
 
     Attributes
     ----------
-    effect : Tunable
+    effect : CandidateEffect
     log_prior : float
-    value : float
+    log_evidence : float |
         Log evidence given the model at its evaluation, prior and shapes included.
     name : str
         Id of the catalogue effect, or `unknown`.
@@ -35,11 +35,11 @@ class Hypothesis:
 
     effect: CandidateEffect
     log_prior: float
-    value: float
+    log_evidence: float
     name: str
 
     @property
-    def spread(self) -> Floats:
+    def plausible_sizes(self) -> Floats:
         """Plausible sizes (k,) of its coefficients [SI]."""
         return self.effect.size_scales
 
@@ -61,17 +61,17 @@ class Model:
     Attributes
     ----------
     members : tuple of Hypothesis
-    projected : tuple of (m, k) float
-        Their signatures, projected onto the residual space.
-    norms : tuple of (k,) float
+    projected_signatures : tuple of (m, k) float
+        Signatures of the members, projected onto the residual space.
+    signature_norms : tuple of (k,) float |
         Lengths of the signatures' columns before the projection.
     baseline_residual : (m,) float
         Residual of the empty model.
     """
 
     members: tuple[Hypothesis, ...]
-    projected: tuple[Floats, ...]
-    norms: tuple[Floats, ...]
+    projected_signatures: tuple[Floats, ...]
+    signature_norms: tuple[Floats, ...]
     baseline_residual: Floats = field(repr=False)
 
     @property
@@ -84,7 +84,7 @@ class Model:
         """Orthonormal basis (m, e) of the projected signatures."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
-        return orthonormal_columns(np.hstack(self.projected), np.concatenate(self.norms))
+        return orthonormal_columns(np.hstack(self.projected_signatures), np.concatenate(self.signature_norms))
 
     @cached_property
     def residual(self) -> Floats:
@@ -93,9 +93,9 @@ class Model:
         return residual
 
     @cached_property
-    def products(self) -> tuple[Floats, Floats]:
+    def gram_and_scores(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
-        projected = np.hstack(self.projected)
+        projected = np.hstack(self.projected_signatures)
         return projected.T @ projected, projected.T @ self.baseline_residual
 
     @cached_property
@@ -103,12 +103,12 @@ class Model:
         """Log evidence that the discrepancy of an empirical law may produce; a further effect must exceed it."""
         if all(h.is_catalogued for h in self.members):
             return 0.0
-        norms = np.concatenate(self.norms)
+        norms = np.concatenate(self.signature_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
-        gram, score = self.products
+        gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
         visible = strength > MIN_NUMERICAL_REDUNDANCY
-        return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
+        return 0.5 * RELATIVE_MODEL_ERROR * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
 
     @cached_property
     def score(self) -> float:
@@ -117,10 +117,10 @@ class Model:
             return 0.0
         likeness = sum(log_odds_repeated(h, self.members[:i]) for i, h in enumerate(self.members))
         doubt = self.discrepancy_penalty * (len(self.members) - 1)
-        return _over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
+        return _log_evidence_over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
 
 
-MISFIT = 0.05
+RELATIVE_MODEL_ERROR = 0.05
 """Relative model error of an empirical law: this fraction of the chi-square that it explains is not attributed to a
 second effect.
 """
@@ -133,80 +133,89 @@ class Ranking:
     Attributes
     ----------
     entries : tuple of Hypothesis
-    total : float
+    log_evidence_total : float |
         Log sum over them, the first ones evaluated without approximation.
     log_evidence_unmodelled : float
         Log evidence of an unmodelled cause.
     """
 
     entries: tuple[Hypothesis, ...]
-    total: float
+    log_evidence_total: float
     log_evidence_unmodelled: float = -np.inf
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking with additional hypotheses."""
-        entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
-        total = float(log_sum_exp(np.array([self.total, *(h.value for h in rivals)])))
+        entries = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
+        total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(entries), total)
 
-    def with_unmodelled_cause(self, likeness: float) -> Ranking:
-        """Ranking with an unmodelled cause, whose log Bayes factor against the best hypothesis is `likeness`."""
+    def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
+        """Ranking with an unmodelled cause, of a given log Bayes factor against the best hypothesis."""
         return replace(
-            self, log_evidence_unmodelled=self.total + likeness + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED)))
+            self,
+            log_evidence_unmodelled=self.log_evidence_total
+            + log_bayes_factor
+            + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED))),
         )
 
-    def name(self) -> str:
+    def most_probable_name(self) -> str:
         """Most probable name."""
-        return likeliest(self.probabilities())
+        return most_probable_name(self.probabilities_by_name())
 
     @cached_property
-    def weights(self) -> Floats:
+    def posterior_probabilities(self) -> Floats:
         """Posterior probability (k,) of each among all hypotheses and none."""
-        logs = np.array([h.value for h in self.entries])
-        probabilities: Floats = np.exp(logs - self._whole)
+        logs = np.array([h.log_evidence for h in self.entries])
+        probabilities: Floats = np.exp(logs - self._log_evidence_sum)
         return probabilities
 
     @cached_property
-    def _whole(self) -> float:
+    def _log_evidence_sum(self) -> float:
         """Log sum of the evidence of all hypotheses and none."""
-        return float(np.logaddexp.reduce([*(h.value for h in self.entries), self.log_evidence_unmodelled, 0.0]))
+        return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), self.log_evidence_unmodelled, 0.0]))
 
     @cached_property
     def p_unmodelled(self) -> float:
         """Posterior probability of an unmodelled cause."""
-        return float(np.exp(self.log_evidence_unmodelled - self._whole))
+        return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
 
-    def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
+    def posterior_probability_of(self, chosen: Callable[[Hypothesis], bool]) -> float:
         """Posterior probability of the `chosen` hypotheses together."""
-        return min(sum(w for h, w in zip(self.entries, self.weights.tolist(), strict=True) if chosen(h)), 1.0)
+        return min(
+            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if chosen(h)), 1.0
+        )
 
-    def probabilities(self) -> dict[str, float]:
+    def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability of each name."""
         named = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
-        for hypothesis, weight in zip(self.entries, self.weights.tolist(), strict=True):
+        for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
             named[hypothesis.name] = min(named.get(hypothesis.name, 0.0) + weight, 1.0)
         return named
 
 
-def likeliest(chances: Mapping[str, float]) -> str:
+def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all names together."""
-    named = {name: chance for name, chance in chances.items() if name != "unknown"}
-    return "unknown" if chances.get("unknown", 0.0) > sum(named.values()) else max(named, key=lambda name: named[name])
+    named = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    return (
+        "unknown"
+        if probabilities.get("unknown", 0.0) > sum(named.values())
+        else max(named, key=lambda name: named[name])
+    )
 
 
-NEGLIGIBLE = 6.0
+MAX_EVIDENCE_DEFICIT = 6.0
 """Deficit of log evidence below the maximum from which grid sizes are dropped from the sum
 (relative error e^-6 each).
 """
 
 
-def _over_sizes(model: Model) -> float:
+def _log_evidence_over_sizes(model: Model) -> float:
     """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
 
     Only sizes near the optimum of a member, with the others at their optimum, are summed.
     """
-    gram, score = model.products
-    spread, owner = _spreads(model.members)
+    gram, score = model.gram_and_scores
+    spread, owner = _plausible_sizes(model.members)
     count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
     bordered = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
@@ -227,14 +236,14 @@ def _over_sizes(model: Model) -> float:
             tried = np.tile(best, (len(EVIDENCE_SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
-            best[i] = best_of(values)
-            near[i] = every[values > values.max() - NEGLIGIBLE]
+            best[i] = index_of_best(values)
+            near[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
     return float(log_sum_exp(evidence(np.array(list(product(*near))))))
 
 
-def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
+def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all coefficients, and the member (k,) of each."""
-    each = [h.spread for h in members]
+    each = [h.plausible_sizes for h in members]
     return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
 
 

@@ -25,39 +25,39 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
-from ltsim.diagnosis.evidence import shares
-from ltsim.diagnosis.prior import log_share
-from ltsim.diagnosis.schema import Estimate, InstrumentEntry
+from ltsim.diagnosis.evidence import normalised_probabilities
+from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
 from ltsim.physics.effects.effect import Parameter
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
+CHANGED_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
 MIN_EIGENVALUE = 1e-6
 """Smallest eigenvalue of the correlation of distinguishable changes (rounding); of others the more probable is
 reported.
 """
-TINY = 1e-12
+MIN_TESTED_INFORMATION = 1e-12
 """Information below which a constant is not tested (rounding)."""
-WORDS = {True: "its declared correction", False: "the other instruments"}
+CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Text of the reference with which a constant of a corrected instrument, or of another one, is compared."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
     """Entries of the constants and determined combinations of every instrument of a recording."""
-    return tuple(_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
+    return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
-def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
+def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
     values = adjustment.state.instrument_parameters[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
         name=adjustment.recording.instruments[instrument],
-        parameters=tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
+        parameters=tuple(ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
         determined=tuple(
             determined_combinations(parameters, *with_plausible_priors(parameters, values, covariance, prior))
         ),
@@ -65,7 +65,7 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class ConstantContradiction:
     """Contradiction between a constant of an instrument and its reference.
 
     Attributes
@@ -95,29 +95,29 @@ class Contradiction:
 
 
 @dataclass(frozen=True)
-class Change:
+class ConstantChange:
     """Possible change of a constant, of one instrument or of several in common.
 
     Attributes
     ----------
-    owners : tuple of int
+    instruments : tuple of int
         The instruments.
     constant : int
-    words : str
+    reference_text : str
         Name of the reference.
     further, log_weights : (s,) float, or one
         Variances in addition to the expected one, and the logs of their weights.
     """
 
-    owners: tuple[int, ...]
+    instruments: tuple[int, ...]
     constant: int
-    words: str
+    reference_text: str
     further: Floats | float = 0.0
     log_weights: Floats | float = 0.0
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedConstants:
     """Expected constants of all instruments, in units of the specification, and possible changes.
 
     `mean` (I p,), `covariance` (I p, I p).
@@ -125,10 +125,10 @@ class Expected:
 
     mean: Floats
     covariance: Floats
-    changes: tuple[Change, ...]
+    changes: tuple[ConstantChange, ...]
 
 
-def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
+def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
     """Constants that differ from those of the other instruments, or from zero for a corrected instrument.
 
     Of two instruments that differ the readings do not identify the one in error; the one farther from zero is the more
@@ -145,17 +145,19 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     ours = tuple(np.flatnonzero(corrected).tolist())
     owners = [(i,) for i in np.flatnonzero(corrected | is_compared).tolist()] + ([ours] if len(ours) > 1 else [])
-    words = {group: WORDS[bool(corrected[group[0]])] for group in owners}
-    changes = tuple(Change(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
-    return compared(adjustment, Expected(np.zeros(unit.size), covariance, changes), least)
+    words = {group: CONSTANT_REFERENCE_PHRASES[bool(corrected[group[0]])] for group in owners}
+    changes = tuple(ConstantChange(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
+    return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
 
 
-def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[Contradiction]:
-    """Constants that differ from their expectation, each with more than `least` log evidence given the others.
+def compare_constants(
+    adjustment: Adjustment, expected: ExpectedConstants, min_log_evidence: float
+) -> list[ConstantContradiction]:
+    """Constants that differ from their expectation, each with more than `min_log_evidence` given the others.
 
-    They follow from forward selection with exchange, in which selected constants have the prior variance `CHANGED`. The
-    readings without the prior of the adjustment give N x = b + noise of covariance N. With x ~ N(m, V) expected, the
-    information on a change of constant k is (V + N^-1)^-1[k, k].
+    They follow from forward selection with exchange, in which selected constants have the prior variance
+    `CHANGED_PRIOR_VARIANCE`. The readings without the prior of the adjustment give N x = b + noise of covariance N.
+    With x ~ N(m, V) expected, the information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -164,31 +166,33 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     )
     surprise, odds = (
         likelihood.information_vector - likelihood.information @ expected.mean,
-        log_share("constant", len(expected.changes)),
+        log_prior_share("constant", len(expected.changes)),
     )
     ways = np.zeros((len(expected.changes), *unit.shape))
     for way, change in zip(ways, expected.changes, strict=True):
-        way[list(change.owners), change.constant] = 1.0
+        way[list(change.instruments), change.constant] = 1.0
     ways = ways.reshape(len(ways), unit.size)
 
     def logs(others: Collection[int]) -> Floats:
         """Log evidence (h,) of each change given the others."""
         given = ways[list(others)]
-        score, weight = score_test(likelihood.information, surprise, expected.covariance + CHANGED * given.T @ given)
+        score, weight = score_test(
+            likelihood.information, surprise, expected.covariance + CHANGED_PRIOR_VARIANCE * given.T @ given
+        )
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
         values = np.full(len(ways), -np.inf)
-        for k in np.flatnonzero((strength > TINY) & ~np.isin(np.arange(len(ways)), list(others))):
+        for k in np.flatnonzero((strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(others))):
             change = expected.changes[k]
-            values[k] = odds + _change(
+            values[k] = odds + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
             )
         return values
 
-    selected = forward_select(logs, least)
+    selected = forward_select(logs, min_log_evidence)
     score, weight = score_test(likelihood.information, surprise, expected.covariance)
     every = ways @ weight @ ways.T
     reported: list[int] = []
-    for k in sorted((k for k in selected if selected[k][k] > least), key=lambda k: -selected[k][k]):
+    for k in sorted((k for k in selected if selected[k][k] > min_log_evidence), key=lambda k: -selected[k][k]):
         square = every[np.ix_([*reported, k], [*reported, k])]
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
             reported.append(k)
@@ -196,29 +200,35 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
         return []
     covariance = np.linalg.inv(every[np.ix_(reported, reported)])
     gap, sigma = covariance @ ways[reported] @ score, np.sqrt(np.diag(covariance))
-    units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in reported]
+    units = [unit[expected.changes[k].instruments[0], expected.changes[k].constant] for k in reported]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
-        _contradiction(adjustment, expected.changes, selected[k], k, float(g * u), float(s * u), float(c))
+        _contradiction_of_change(adjustment, expected.changes, selected[k], k, float(g * u), float(s * u), float(c))
         for k, g, s, c, u in zip(reported, gap, sigma, chance, units, strict=True)
     ]
 
 
-def _contradiction(
-    adjustment: Adjustment, changes: Sequence[Change], logs: Floats, k: int, gap: float, sigma: float, chance: float
-) -> Contradiction:
+def _contradiction_of_change(
+    adjustment: Adjustment,
+    changes: Sequence[ConstantChange],
+    logs: Floats,
+    k: int,
+    gap: float,
+    sigma: float,
+    chance: float,
+) -> ConstantContradiction:
     """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
     change, parameters = changes[k], adjustment.construction.parameters
-    rivals = [i for i, other in enumerate(changes) if other.owners == change.owners]
-    share = shares(logs[rivals])
-    return Contradiction(
-        instruments=tuple(adjustment.recording.instruments[i] for i in change.owners),
+    rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
+    share = normalised_probabilities(logs[rivals])
+    return ConstantContradiction(
+        instruments=tuple(adjustment.recording.instruments[i] for i in change.instruments),
         parameter=parameters[change.constant],
         difference=gap,
         sigma=sigma,
         evidence=float(logs[k]),
         p_value=chance,
-        against=change.words,
+        against=change.reference_text,
         rivals={
             parameters[changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
@@ -227,7 +237,7 @@ def _contradiction(
     )
 
 
-def _change(gap: float, variance: Floats | float, weights: Floats | float) -> float:
+def _change_log_evidence(gap: float, variance: Floats | float, weights: Floats | float) -> float:
     """Log evidence of a change from its estimate, averaged over variances (s,) with log weights (s,)."""
     variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
     unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
@@ -239,7 +249,7 @@ MIN_INFORMATION = 1e-3
 """Smallest information of earlier calibrations on a constant, in units of the specification (avoids
 division by zero).
 """
-SCATTERS = np.geomspace(0.05, 1e4, 80)
+VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
 """Grid of the ratio of the true variance of a constant to the sample variance of a few calibrations."""
 PRIOR_DOF = 4
 """Prior degrees of freedom from the spreads of the other constants (Smyth 2004): most agree within a factor of two."""
@@ -252,11 +262,13 @@ class HistoryExpectation:
     earlier: EarlierCalibrations
     expected: ParameterPrior
     """Mean and covariance, including the day-to-day spread."""
-    guarantee: Floats
+    specification: Floats
     """Specification of the manufacturer, (I, p) [SI], the unit of all computations here."""
 
     @classmethod
-    def of(cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction) -> HistoryExpectation:
+    def from_calibrations(
+        cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction
+    ) -> HistoryExpectation:
         """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
         names = recording.instruments
         if len(earlier.instruments) < min(len(names), 2):
@@ -267,20 +279,25 @@ class HistoryExpectation:
         nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
         return cls(earlier, earlier.replace_nominal_prior(nominal, construction, names), nominal.sigma)
 
-    def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
-        """Constants that have changed, each with more than `least` log evidence, the most significant first."""
-        parameters, unit = adjustment.construction.parameters, self.guarantee
+    def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
+        """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""
+        parameters, unit = adjustment.construction.parameters, self.specification
         at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
         names = [parameters[k].name for k in at]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
-        changes: list[Change] = []
+        changes: list[ConstantChange] = []
         for i, block in enumerate(covariance):
-            spreads = zip(*self._spreads(block[np.ix_(at, at)], unit[i, at], names), strict=True)
-            changes += [Change((i,), k, self._words(parameters[k]), *s) for k, s in zip(at, spreads, strict=True)]
+            spreads = zip(*self._additional_variances(block[np.ix_(at, at)], unit[i, at], names), strict=True)
+            changes += [
+                ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
+                for k, s in zip(at, spreads, strict=True)
+            ]
         mean = (self.expected.mean / unit).ravel()
-        return compared(adjustment, Expected(mean, linalg.block_diag(*covariance), tuple(changes)), least)
+        return compare_constants(
+            adjustment, ExpectedConstants(mean, linalg.block_diag(*covariance), tuple(changes)), min_log_evidence
+        )
 
-    def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
+    def _additional_variances(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
         """Variances (k, s) of constants in addition to the expected ones (k, k), and the logs of their weights.
 
         The spread of a few calibrations is uncertain: their sample variance is scaled chi-square with one degree of
@@ -299,12 +316,12 @@ class HistoryExpectation:
         )  # of the mean, without the maker's guarantee
         scatter = count / np.maximum(precision, MIN_INFORMATION)
         usual = scatter + np.median(spread) - spread
-        wider = np.minimum(np.outer(scatter, SCATTERS - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
+        wider = np.minimum(np.outer(scatter, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
         shown = (count - 1 + PRIOR_DOF * usual / scatter)[:, None]
-        weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(SCATTERS) - 0.5 * shown / SCATTERS
+        weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
         return np.maximum(wider * (1.0 + 1.0 / count), -spread[:, None]), weights
 
-    def _words(self, parameter: Parameter) -> str:
+    def _reference_phrase(self, parameter: Parameter) -> str:
         """Name of the reference that a constant is compared with."""
         if self.earlier.n_calibrations == 1:
             return "its calibration"

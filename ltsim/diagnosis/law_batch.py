@@ -17,24 +17,24 @@ import scipy.sparse as sp
 
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
+from ltsim.diagnosis.evidence import MAX_SCREENED_EVIDENCE_TIE, simulated_log_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
-CHUNK = 1000
+N_POINTINGS_PER_CHUNK = 1000
 """Number of pointings whose products are in memory at a time."""
-PAIRS = 500_000
+MAX_COLUMN_PRODUCTS = 500_000
 """Number of products of columns in memory at a time, the size of a cache."""
-AT_ONCE = 10_000
+MAX_COLUMNS_AT_PLACES = 10_000
 """Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
-COLUMN_ENTRIES, SHARED_ENTRIES = 5_000_000, 16_000_000
-"""Number of entries of columns of regressors that are computed at a time, 20 MB, and number up to which the batches
-with the same regressors share them, 64 MB.
-"""
-MOST_HITS = 6
+MAX_COLUMN_ENTRIES = 5_000_000
+"""Number of entries of columns of regressors that are computed at a time, 20 MB."""
+MAX_SHARED_COLUMN_ENTRIES = 16_000_000
+"""Number of entries of columns up to which the batches with the same regressors share them, 64 MB."""
+MAX_HITS_PER_PLACE = 6
 """Largest number of hypotheses per place that are evaluated again."""
 
 
@@ -42,10 +42,10 @@ MOST_HITS = 6
 class ScreenedLaw:
     """Screened law with its log evidence including the prior."""
 
-    carrier: Response
-    driver: Regressor
+    response: Response
+    regressor: Regressor
     place: LawPlace
-    value: float
+    log_evidence: float
     log_prior: float
 
 
@@ -57,18 +57,18 @@ class RowPartition:
     ----------
     order : (r,) int
         Pointings, cell after cell.
-    edges : (cells + 1,) int
-        Where each cell begins in that order, and the end.
-    members : (P, cells) csr float32
-        One where a cell lies in a place.
+    cell_edges : (cells + 1,) int
+        Start of each cell in that order, and the end of the last one.
+    is_in_place : (P, cells) csr float32
+        Indicator of the cells of each place.
     """
 
     order: Ints
-    edges: Ints
-    members: sp.csr_array
+    cell_edges: Ints
+    is_in_place: sp.csr_array
 
     @classmethod
-    def of(cls, places: Sequence[LawPlace], count: int) -> RowPartition:
+    def from_places(cls, places: Sequence[LawPlace], count: int) -> RowPartition:
         """Partition of `count` pointings by the places that they belong to."""
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
@@ -78,18 +78,18 @@ class RowPartition:
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
         return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
 
-    def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Chunks of at most `most` pointings: slice of the order, pointings, and slice of each cell in the chunk."""
-        for start in range(0, len(self.order), most):
-            end = min(start + most, len(self.order))
-            first, last = np.searchsorted(self.edges, [start, end - 1], side="right") - 1
-            cuts = np.clip(self.edges[first : last + 2] - start, 0, end - start).tolist()
+    def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
+        """Chunks of at most `max_pointings`: slice of the order, pointings, and slice of each cell in the chunk."""
+        for start in range(0, len(self.order), max_pointings):
+            end = min(start + max_pointings, len(self.order))
+            first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
+            cuts = np.clip(self.cell_edges[first : last + 2] - start, 0, end - start).tolist()
             here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
             yield slice(start, end), self.order[start:end], here
 
-    def summed(self, parts: Any) -> Any:
+    def sums_over_places(self, parts: Any) -> Any:
         """Sums (P, ...) over places from the sums over cells (cells, ...)."""
-        return (self.members @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
+        return (self.is_in_place @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
 
 
 class RegressorColumns:
@@ -98,31 +98,38 @@ class RegressorColumns:
     Those of several batches are shared: they stay in memory until they are released, or always if `cached`.
     """
 
-    def __init__(self, drivers: Sequence[Regressor], sightings: Sightings, order: Ints, *, moving: bool) -> None:
-        self._drivers, self._sightings, self._order, self._moving = drivers, sightings, order, moving
-        self._whole: Singles | None = None
-        self.cached = False
-        self.entries = drivers[0].n_columns * len(sightings)  # of one regressor
+    def __init__(
+        self, regressors: Sequence[Regressor], sightings: Sightings, order: Ints, *, acts_on_targets: bool
+    ) -> None:
+        self._regressors, self._sightings, self._order, self._acts_on_targets = (
+            regressors,
+            sightings,
+            order,
+            acts_on_targets,
+        )
+        self._all_columns: Singles | None = None
+        self.is_cached = False
+        self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)  # of one regressor
 
-    def of(self, part: slice) -> Singles:
+    def columns_of(self, part: slice) -> Singles:
         """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
-        if self.entries * len(self._drivers) > SHARED_ENTRIES:
-            return self._computed(self._drivers[part])
-        if self._whole is None:
-            self._whole = self._computed(self._drivers)
-        size = self._drivers[0].n_columns
-        return self._whole[:, part.start * size : part.stop * size]
+        if self.n_entries_per_regressor * len(self._regressors) > MAX_SHARED_COLUMN_ENTRIES:
+            return self._compute_columns(self._regressors[part])
+        if self._all_columns is None:
+            self._all_columns = self._compute_columns(self._regressors)
+        size = self._regressors[0].n_columns
+        return self._all_columns[:, part.start * size : part.stop * size]
 
     def release(self) -> None:
         """Removal of columns that are not cached."""
-        if not self.cached:
-            self._whole = None
+        if not self.is_cached:
+            self._all_columns = None
 
-    def _computed(self, drivers: Sequence[Regressor]) -> Singles:
-        size = drivers[0].n_columns
-        columns = np.empty((len(self._sightings), len(drivers) * size), dtype=np.float32)
-        for i, driver in enumerate(drivers):
-            made = driver.columns(self._sightings, acts_on_targets=self._moving)
+    def _compute_columns(self, regressors: Sequence[Regressor]) -> Singles:
+        size = regressors[0].n_columns
+        columns = np.empty((len(self._sightings), len(regressors) * size), dtype=np.float32)
+        for i, driver in enumerate(regressors):
+            made = driver.columns(self._sightings, acts_on_targets=self._acts_on_targets)
             columns[:, i * size : (i + 1) * size] = made[self._order]
         return columns
 
@@ -138,109 +145,116 @@ class LawBatch:
     columns : RegressorColumns
         Columns of the regressors, shared by batches with the same regressors and cells.
     log_prior : (P,) float
-        Of each hypothesis and scale at a place.
+        Log prior of each hypothesis and scale at a place.
     """
 
-    carriers: tuple[Response, ...]
-    drivers: tuple[Regressor, ...]
+    responses: tuple[Response, ...]
+    regressors: tuple[Regressor, ...]
     places: tuple[LawPlace, ...]
-    cells: RowPartition
+    partition: RowPartition
     weights: Singles
     columns: RegressorColumns
     log_prior: Floats
-    _forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
+    _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
-    def _spreads(self) -> list[Floats]:
+    def _prior_sigmas(self) -> list[Floats]:
         """Prior standard deviations (D, c k) for each scale."""
         ways = self.weights.shape[3]
         return [
-            np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.drivers), strict=True)
+            np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
         ]
 
-    def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
+    def best_laws_and_totals(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
-        count, size = len(self.drivers), self.drivers[0].n_columns
+        count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
-        step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // self.columns.entries))
-        parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
+        step = max(
+            1, min(MAX_COLUMNS_AT_PLACES // products, MAX_COLUMN_ENTRIES // self.columns.n_entries_per_regressor)
+        )
+        parts = [self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in parts]))
-        best = np.argsort(-np.round(values / SCREENED_TIE), axis=1, kind="stable")[:, :MOST_HITS]
+        best = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[:, :MAX_HITS_PER_PLACE]
         hits = [
-            ScreenedLaw(self.carriers[i // count], self.drivers[i % count], place, v, prior)
+            ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
         return hits, float(log_sum_exp(values.ravel())), null
 
-    def _at(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
+    def _log_evidence_at_places(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) of some regressors with priors, and its log sum over trials.
 
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
         """
-        columns = self.columns.of(part)
-        scores = self._sums(probe, columns)
-        score, trials, _ = probe.split(scores)
-        null = np.full((1, probe.count), -np.inf)
+        columns = self.columns.columns_of(part)
+        scores = self._products_with_ensemble(probe, columns)
+        score, trials, _ = probe.split_products(scores)
+        null = np.full((1, probe.n_trials), -np.inf)
         if probe.is_first_pass:
-            turned = self._turned(probe.gram(scores, self._self_products(columns)), part)
-            self._forms[part.start] = turned
-            if probe.count:
+            turned = self._eigen_decomposition(probe.projected_gram(scores, self._gram_matrices(columns)), part)
+            self._quadratic_forms[part.start] = turned
+            if probe.n_trials:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
-                null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
+                null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_evidence((turn @ score[..., None])[..., 0] ** 2, strength) for strength, turn in self._forms[part.start]
+            log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
+            for strength, turn in self._quadratic_forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 
-    def _turned(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
+    def _eigen_decomposition(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
         """Eigenvalues (P, C, d, k) per scale, and the matrix that transforms scores to eigenvectors."""
         turned = []
-        for spread in (spread[part] for spread in self._spreads):
+        for spread in (spread[part] for spread in self._prior_sigmas):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
             turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
         return turned
 
-    def _sums(self, probe: NullEnsemble, columns: Singles) -> Singles:
+    def _products_with_ensemble(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.drivers[0].n_columns
-        sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
-        for part, rows, cells in self.cells.parts(CHUNK):
+        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
+        sums = np.zeros(
+            (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
+        )
+        for part, rows, cells in self.partition.chunks(N_POINTINGS_PER_CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(weights, 1, 2) @ probe.at(rows)).reshape(len(rows), -1)
+            moved = (np.swapaxes(weights, 1, 2) @ probe.vectors_at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        shaped = self.cells.summed(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
 
-    def _self_products(self, columns: Singles) -> Floats:
+    def _gram_matrices(self, columns: Singles) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
         _, _, count, ways = self.weights.shape
-        k = self.drivers[0].n_columns
+        k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
-        for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):
+        sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
+        for part, rows, cells in self.partition.chunks(
+            max(1, min(N_POINTINGS_PER_CHUNK, MAX_COLUMN_PRODUCTS // (d * k * k)))
+        ):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ pairs[at]
-        shaped = self.cells.summed(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
         return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)
 
 
-def scored(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:
+def score_batches(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:
     """Scores of each batch, in their order; columns that several batches share are computed once."""
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(batches):
         by_columns.setdefault(id(batch.columns), []).append(i)
     scores = {}
     for members in by_columns.values():
-        scores.update({i: batches[i].score(probe) for i in members})
+        scores.update({i: batches[i].best_laws_and_totals(probe) for i in members})
         batches[members[0]].columns.release()
     return [scores[i] for i in range(len(batches))]

@@ -21,44 +21,48 @@ from scipy.special import expit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import log_means, restricted, shares
-from ltsim.diagnosis.noise_factors import NoiseFactors, Pattern
+from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
 from ltsim.diagnosis.noise_groups import (
-    MUCH_WORSE,
-    NOISY_GROUP_SHARE,
-    Amounts,
-    Level,
+    NOISY_GROUP_FRACTIONS,
+    TAIL_VARIANCE_FACTORS,
+    GroupNoise,
     NoiseByGroup,
+    RecordingNoiseLevel,
 )
 from ltsim.diagnosis.noise_patterns import variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.diagnosis.prior import log_share
+from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.places import instrument_places
-from ltsim.physics.laws.variance import REPEATS_PER_FACE, REPETITION_KINDS, VarianceFunction
+from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
-COMPARED = 6
+N_EVALUATED_FAMILIES = 6
 """Number of families that are evaluated without approximation, the most probable first."""
-AT_ONCE = 1_500_000
+MAX_AVERAGED_PATTERNS = 12
+"""Number of patterns, the most probable first, over which the variance is averaged."""
+MAX_RESIDUAL_ENTRIES = 1_500_000
 """Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
-COMPARABLE = 0.2
+MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence from which windows of noise are also sought at single places."""
-LEAST_SHARE = 0.05
-"""Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
-FINE = 48
+N_FINE_SIZES = 48
 """Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
-LARGEST = 400.0
+MAX_NOISE_SIZE = 400.0
 """Largest size in units of the plausible one."""
-GRID, REACH, ZOOMS = 7, 4.0, 9
-"""Points, half-width in deviations and number of the grids on which the posterior of a size is summed: sums of a normal
-density are exact for spacings up to 1.5 deviations."""
+N_VARIANCE_GRID_VALUES = 7
+"""Number of points of a grid on which the posterior of a size is summed."""
+VARIANCE_GRID_HALF_WIDTH = 4.0
+"""Half-width of a grid on which the posterior of a size is summed, in standard deviations."""
+N_GRID_ZOOMS = 9
+"""Number of such grids: sums of a normal density are exact for spacings up to 1.5 deviations."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,9 @@ class NoiseHypothesis:
 
     family: str
     effect: NoiseSignature
-    values: tuple[float, ...]
-    sigma: tuple[float, ...] = ()
-    drop: float = 0.0
+    sizes: tuple[float, ...]
+    size_sigmas: tuple[float, ...] = ()
+    chi2_drop: float = 0.0
     evidence: float = 0.0
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
@@ -77,7 +81,7 @@ class NoiseHypothesis:
     @property
     def log_prior(self) -> float:
         """Log prior probability of its kind among all explanations."""
-        return log_share("scatter" if self.family.startswith("unknown") else "noise", 1)
+        return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -112,11 +116,13 @@ class NoiseBank:
     factors: NoiseFactors
     means: sp.csr_array
     basis: Floats | None
-    amounts: tuple[Amounts, ...]
+    amounts: tuple[GroupNoise, ...]
     space: ResidualSpace
 
     @classmethod
-    def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True) -> NoiseBank:
+    def from_space(
+        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True
+    ) -> NoiseBank:
         """Bank of noise hypotheses on a residual space.
 
         Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
@@ -125,52 +131,58 @@ class NoiseBank:
         means = sp.csr_array(sp.vstack(repeated))
         sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeated)
         other = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
-        factors = NoiseFactors.of(
-            _patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.used_readings)[1], *other])
+        factors = NoiseFactors.from_patterns(
+            _noise_patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.used_readings)[1], *other])
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
-        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space), *NoiseWindows.of(space))
+        amounts = (
+            RecordingNoiseLevel.from_space(space, quieter=quieter),
+            *NoiseByGroup.all_of(space),
+            *NoiseWindows.from_space(space),
+        )
         return cls(list(hypotheses), names, family, factors, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log likelihood ratio (h, trials) for whitened residuals (m, trials) with redundancy (m,)."""
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
-        share = np.concatenate([redundancy, _share_of_means(self.means, redundancy)])
-        return self.factors.ratios(squares, share)
+        share = np.concatenate([redundancy, redundancy_of_means(self.means, redundancy)])
+        return self.factors.log_likelihood_ratios(squares, share)
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
-        step = max(1, AT_ONCE // len(residual))
+        step = max(1, MAX_RESIDUAL_ENTRIES // len(residual))
         parts = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
         return np.hstack([self._family_evidence(part, redundancy) for part in parts])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        patterns = self._by_family(self.log_likelihood_ratio(residual, redundancy))
-        return np.vstack([patterns, *(self._of_amounts(amount, residual, redundancy) for amount in self.amounts)])
+        patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
+        return np.vstack(
+            [patterns, *(self._amounts_log_evidence(amount, residual, redundancy) for amount in self.amounts)]
+        )
 
-    def _of_amounts(self, amount: Amounts, residual: Floats, redundancy: Floats) -> Floats:
-        return amount.evidence(residual, redundancy) + self.share(amount.name)
+    def _amounts_log_evidence(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> Floats:
+        return amount.log_evidence(residual, redundancy) + self.log_prior_of_family(amount.name)
 
-    def share(self, family: str) -> float:
+    def log_prior_of_family(self, family: str) -> float:
         """Log prior of a family: noise of the catalogue, or outside it."""
         unknown = [name.startswith("unknown") for name in (*self.families, *(amount.name for amount in self.amounts))]
         return (
-            log_share("scatter", sum(unknown))
+            log_prior_share("scatter", sum(unknown))
             if family.startswith("unknown")
-            else log_share("noise", unknown.count(False))
+            else log_prior_share("noise", unknown.count(False))
         )
 
-    def _by_family(self, ratio: Floats) -> Floats:
-        share = np.array([self.share(family) for family in self.families])
-        return log_means(ratio, self.family, len(self.families)) + share[:, None]
+    def _log_evidence_by_family(self, ratio: Floats) -> Floats:
+        share = np.array([self.log_prior_of_family(family) for family in self.families])
+        return log_means_by_group(ratio, self.family, len(self.families)) + share[:, None]
 
-    def exact(self, i: int, residual: Floats, extension: Floats) -> float:
+    def log_restricted_likelihood_ratio(self, i: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
         assert self.basis is not None
-        at, logs = self.factors.row(i)
+        at, logs = self.factors.log_variance_factors(i)
         weight, size = -np.expm1(-logs), len(residual)
         estimated = np.hstack([self.basis, extension])
         inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
@@ -180,123 +192,148 @@ class NoiseBank:
         fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
-    def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
+    def _fine_log_evidence(
+        self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats
+    ) -> float:
         """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
         effect = self.hypotheses[likeliest].effect
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
-        tried = np.array([self.hypotheses[i].values for i in members[same].tolist()])
+        tried = np.array([self.hypotheses[i].sizes for i in members[same].tolist()])
         ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
-        gained = reml_gain(self.space, self.space.sigma, effect, residual, redundancy)
-        each = log_sum_exp(np.array([gained(sizes) for sizes in np.geomspace(*ends, FINE)])) - np.log(FINE)
+        reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
+        each = log_sum_exp(np.array([reml_gain(sizes) for sizes in np.geomspace(*ends, N_FINE_SIZES)])) - np.log(
+            N_FINE_SIZES
+        )
         subsets = [*each, each.sum()] if len(each) > 1 else each
         fine = log_sum_exp(np.array(subsets)) + np.log(same.sum() / len(subsets))
         return float(log_sum_exp(np.append(ratio[~same], fine)) - np.log(len(members)))
 
-    def ranked(self, residual: Floats, redundancy: Floats, extension: Floats) -> list[tuple[float, NoiseHypothesis]]:
+    def ranked_families(
+        self, residual: Floats, redundancy: Floats, extension: Floats
+    ) -> list[tuple[float, NoiseHypothesis]]:
         """Families in the order of their evidence with prior, each with its best member."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
-        evidence = self._by_family(ratio)[:, 0]
+        evidence = self._log_evidence_by_family(ratio)[:, 0]
         entries = []
         for rank, family in enumerate(np.argsort(-evidence)):
             members = np.flatnonzero(self.family == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
-            if rank < COMPARED:
-                value = self._finely(members, likeliest, ratio[members, 0], residual, redundancy)
-                value += self.share(self.families[family])
+            if rank < N_EVALUATED_FAMILIES:
+                value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
+                value += self.log_prior_of_family(self.families[family])
                 if self.basis is not None:
-                    value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
+                    value += self.log_restricted_likelihood_ratio(likeliest, residual, extension) - float(
+                        ratio[likeliest, 0]
+                    )
             entries.append((value, self.hypotheses[likeliest]))
-        for entry in self.amounts:
-            value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
-            effect = entry.most_likely_effect(residual, redundancy)
-            entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
-            if isinstance(entry, NoiseWindows) and value > max(0.0, *(COMPARABLE * v for v, _ in entries)):
-                assert isinstance(effect, VarianceFunction)
-                place, alone = entry.confined(effect, residual, redundancy)
-                entries.append((alone + self.share(entry.name), NoiseHypothesis(entry.name, place, (0.0,))))
+        for amount, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
+            effect = amount.most_likely_effect(residual, redundancy)
+            entries.append((value, NoiseHypothesis(amount.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(entries, key=lambda entry: -entry[0])
 
+    def expected_factors(self) -> Floats:
+        """Posterior mean (n, 3) of the variance factors over all hypotheses, "no change" included.
 
-def _patterns(
+        The mean of a variance has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
+        """
+        space, residual, redundancy = self.space, self.space.residuals, self.space.redundancy
+        values, factors = [0.0], [np.ones(space.sigma.shape)]
+        for hypothesis, value in self._ranked_patterns(residual, redundancy):
+            sizes = np.array(most_likely_sizes(space, space.sigma, hypothesis).sizes)
+            values.append(value)
+            factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
+        rows = np.count_nonzero(space.used_readings)
+        for amount, value in self.ranked_group_noise(residual, redundancy, max(values)):
+            values.append(value)
+            factors.append(np.ones(space.sigma.shape))
+            factors[-1][space.used_readings] = amount.expected_factors(residual, redundancy)[:rows]
+        mean = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
+        return np.nan_to_num(mean, nan=1.0)
+
+    def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
+        """Most probable patterns of noise, each at its best size, with their log evidence over all sizes."""
+        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
+        prior = np.array([self.log_prior_of_family(name) for name in self.families]) - np.log(np.bincount(self.family))
+        members: dict[NoiseSignature, list[int]] = {}
+        for i, hypothesis in enumerate(self.hypotheses):
+            members.setdefault(hypothesis.effect, []).append(i)
+        evidence = np.array([float(log_sum_exp((ratio + prior[self.family])[same])) for same in members.values()])
+        ranked = []
+        for same, value in [
+            (list(members.values())[i], evidence[i]) for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]
+        ]:
+            best = same[int(np.argmax(ratio[same]))]
+            exact = float(ratio[best])
+            if self.basis is not None:
+                exact = self.log_restricted_likelihood_ratio(best, residual, np.zeros((len(residual), 0)))
+            ranked.append((self.hypotheses[best], float(value + exact - ratio[best])))
+        return ranked
+
+    def ranked_group_noise(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[GroupNoise, float]]:
+        """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
+        ranked = [(amount, self._log_evidence_of_group_noise(amount, residual, redundancy)) for amount in self.amounts]
+        least = max(rival, *(value for _, value in ranked)) * MIN_COMPARABLE_EVIDENCE_FRACTION
+        places = [
+            x for amount, value in ranked if value > least for x in amount.noise_at_best_place(residual, redundancy)
+        ]
+        return ranked + [(place, self._log_evidence_of_group_noise(place, residual, redundancy)) for place in places]
+
+    def _log_evidence_of_group_noise(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> float:
+        return float(self._amounts_log_evidence(amount, residual[:, None], redundancy)[0])
+
+
+def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], repeated: Sequence[sp.csr_array]
-) -> Iterator[Pattern]:
+) -> Iterator[VariancePattern]:
     """Added variances of the first rows, and sizes: of readings; of means too for what repeats.
 
     A variance function is linear in its size, an effect of the catalogue has a pattern for each of its sizes.
     """
     used, variance = space.used_readings, space.sigma**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):
-        sizes = [h.values for h in same]
+        sizes = [h.sizes for h in same]
         linear = isinstance(effect, VarianceFunction)
         for values in [(1.0,)] if linear else sizes:
             added = (effect.variance(space.sightings, space.sigma, np.array(values)) / variance)[used] - 1.0
             if faces := getattr(effect, "repetition", ""):
                 grown = (
-                    _added_to_mean(m, added if kind == faces else np.zeros(0))
+                    relative_variance_of_means(m, added if kind == faces else np.zeros(0))
                     for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
                 )
                 added = np.concatenate([np.zeros(space.n_rows), *grown])
             yield added, tuple(size for (size,) in sizes) if linear else (1.0,)
 
 
-def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
-    """Matrix (g, m) that adds readings of one kind, target, station and optionally face.
-
-    The sums are divided by the square root of their number of terms.
-    """
-    s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
-    key = (3 * pair[:, None] + np.arange(3))[space.used_readings]
-    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
-    keep = count[group] > 1
-    _, number = np.unique(group[keep], return_inverse=True)
-    places = np.flatnonzero(keep)
-    shape = (int(number.max(initial=-1)) + 1, space.n_rows)
-    return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
-
-
-def _share_of_means(means: sp.csr_array, share: Floats) -> Floats:
-    """Redundancy (g,) of means: the adjustment absorbs an error common to repeats by the sum of their leverages."""
-    lost = (means > 0).astype(np.float64) @ (1.0 - share)
-    return np.maximum(1.0 - lost, LEAST_SHARE)
-
-
-def _added_to_mean(means: sp.csr_array, added: Floats) -> Floats:
-    """Relative added variance (g,) of means whose members share that of the first rows: k v."""
-    padded = np.append(added, np.zeros(means.shape[1] - len(added)))
-    return np.maximum((means > 0).astype(np.float64) @ padded, 0.0)
-
-
-def reml_gain(
+def reml_gain_function(
     space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
     """Function from sizes (k,) to the gain (k,) of restricted log likelihood for each variance parameter.
 
-    Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
-    (m,) are whitened by those of the space.
+    Each reading depends on one parameter at most. The effect acts on the standard deviations `size_sigmas` (n, 3);
+    residuals (m,) are whitened by those of the space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
     means = repeat_means(space, faces) if faces else None
-    share = redundancy[: int(used.sum())] if means is None else _share_of_means(means, redundancy)
+    share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def factors(values: Floats) -> Floats:
         factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
-        return factor if means is None else 1.0 + _added_to_mean(means, factor - 1.0)
+        return factor if means is None else 1.0 + relative_variance_of_means(means, factor - 1.0)
 
     parameter = np.argmax([factors(unit) != factors(0.0 * scale) for unit in np.diag(scale)], axis=0)
 
-    def gained(values: Floats) -> Floats:
+    def gain(values: Floats) -> Floats:
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
-            each = np.where(factor > 0.0, restricted(squares, share, factor), -np.inf)
+            each = np.where(factor > 0.0, log_restricted_likelihood_ratio(squares, share, factor), -np.inf)
         return np.asarray(np.bincount(parameter, each, minlength=len(scale)), dtype=np.float64)
 
-    return gained
+    return gain
 
 
-def _tail(hypothesis: NoiseHypothesis, gained: Callable[[Floats], Floats]) -> NoiseHypothesis:
+def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
     """Hypothesis of a heavy tail with the variance of each reading: the inverse of its expected weight.
 
     A reading is in the tail with a probability p, there with one of the factors f; its weight is (1 - p) + p E[1 / f],
@@ -304,45 +341,50 @@ def _tail(hypothesis: NoiseHypothesis, gained: Callable[[Floats], Floats]) -> No
     the largest likelihood.
     """
     count = len(hypothesis.effect.parameters)
-    logs = np.stack([gained(np.full(count, factor - 1.0)) for factor in MUCH_WORSE]) - gained(np.zeros(count))
-    ratio = log_sum_exp(logs) - np.log(len(MUCH_WORSE))
-    likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_SHARE]
-    q = float(NOISY_GROUP_SHARE[int(np.argmax(likelihood))])
+    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS]) - reml_gain(
+        np.zeros(count)
+    )
+    ratio = log_sum_exp(logs) - np.log(len(TAIL_VARIANCE_FACTORS))
+    likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
+    q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
     inside = expit(ratio + np.log(q / (1.0 - q)))
-    weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / MUCH_WORSE[:, None]).sum(axis=0)
+    weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
-    drop = 2.0 * float((gained(values) - gained(np.zeros(count))).sum())
+    drop = 2.0 * float((reml_gain(values) - reml_gain(np.zeros(count))).sum())
     sigma = np.sqrt(2.0) * (1.0 + values)  # of a variance from one reading
-    return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))
+    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 
-def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
 
     Estimates are posterior means and deviations under a log-uniform prior of the variance factor, since the likelihood
-    of a variance is skew. The posteriors are independent (`reml_gain`); a size without readings is 0 with an infinite
-    standard deviation.
+    of a variance is skew. The posteriors are independent (`reml_gain_function`); a size without readings is 0 with an
+    infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
-    gained = reml_gain(space, nominal, effect, space.residuals, space.redundancy)
+    reml_gain = reml_gain_function(space, nominal, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
-        return _tail(hypothesis, gained)
-    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(LARGEST))
+        return _tail_with_variances(hypothesis, reml_gain)
+    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))
     low, high = least, most
-    for _ in range(ZOOMS):
-        points = np.linspace(low, high, GRID)
+    for _ in range(N_GRID_ZOOMS):
+        points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)
         sizes = scale * np.expm1(points)
-        ratio = np.array([gained(size) for size in sizes])
-        weight, felt = shares(ratio), np.ptp(ratio, axis=0) > 0.0
+        ratio = np.array([reml_gain(size) for size in sizes])
+        weight, felt = normalised_probabilities(ratio), np.ptp(ratio, axis=0) > 0.0
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
-        spread = np.maximum(spread, 0.4 * (high - low) / (GRID - 1))
-        low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
+        spread = np.maximum(spread, 0.4 * (high - low) / (N_VARIANCE_GRID_VALUES - 1))
+        low, high = (
+            np.maximum(least, mean - VARIANCE_GRID_HALF_WIDTH * spread),
+            np.minimum(most, mean + VARIANCE_GRID_HALF_WIDTH * spread),
+        )
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
-    gain = gained(values) - gained(0.0 * scale)
+    gain = reml_gain(values) - reml_gain(0.0 * scale)
     if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
-        values = values * expit(gain + np.log(NOISY_GROUP_SHARE.min() / (1.0 - NOISY_GROUP_SHARE.min())))
-        gain = gained(values) - gained(0.0 * scale)
+        values = values * expit(gain + np.log(NOISY_GROUP_FRACTIONS.min() / (1.0 - NOISY_GROUP_FRACTIONS.min())))
+        gain = reml_gain(values) - reml_gain(0.0 * scale)
     drop = 2.0 * float(gain.sum())
-    return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))
+    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))

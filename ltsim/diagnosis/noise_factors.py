@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.core.arrays import Floats, Ints, Singles, stacked
+from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
 
-DENSE = 0.5
+MIN_DENSE_FRACTION = 0.5
 """Fraction of nonzeros on the rows of its kinds from which a pattern is stored as a dense row (memory)."""
-AT_ONCE = 2_000_000
+MAX_VARIANCE_FACTORS = 2_000_000
 """Largest number of variance factors that are computed at a time, some tens of MB."""
 
 
@@ -40,7 +40,7 @@ class PatternGroup:
     places: Ints | slice
     added: Singles | sp.csr_array
 
-    def ratios(self, squares: Singles, share: Floats) -> Iterator[tuple[Ints, Floats]]:
+    def log_likelihood_ratios(self, squares: Singles, share: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Log likelihood ratios of some members (b,), (b, trials): sums of (1 - 1/s) r^2 - k log s, halved.
 
         Parameters
@@ -52,23 +52,23 @@ class PatternGroup:
         """
         squares, share = squares[self.places], share[self.places]
         count = self.added.size if isinstance(self.added, np.ndarray) else self.added.nnz
-        step = max(1, AT_ONCE * self.added.shape[0] // max(count, 1))
+        step = max(1, MAX_VARIANCE_FACTORS * self.added.shape[0] // max(count, 1))
         for start in range(0, len(self.members), step):
             part = slice(start, start + step)
-            logs = self._logs(part)
-            fit = (_gain(logs) @ squares).astype(np.float64)
+            logs = self._log_variance_factors_of(part)
+            fit = (_precision_loss(logs) @ squares).astype(np.float64)
             yield self.members[part], 0.5 * (fit - (logs @ share)[:, None])
 
-    def row(self, member: int) -> tuple[Ints, Floats]:
+    def log_variance_factors(self, member: int) -> tuple[Ints, Floats]:
         """Rows (r,) on which one of the members changes the noise, and the logs (r,) of its variance factors there."""
-        logs = self._logs(slice(member, member + 1))
+        logs = self._log_variance_factors_of(slice(member, member + 1))
         if not isinstance(logs, np.ndarray):
             return logs.indices, logs.data.astype(np.float64)
         changed = np.flatnonzero(logs[0])
         rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
         return rows[changed], logs[0, changed].astype(np.float64)
 
-    def _logs(self, part: slice) -> Singles | sp.csr_array:
+    def _log_variance_factors_of(self, part: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of some members."""
         added, size = self.added[self.pattern[part]], self.size[part]
         if isinstance(added, np.ndarray):
@@ -77,14 +77,14 @@ class PatternGroup:
         return sp.csr_array((data, added.indices, added.indptr), added.shape)
 
 
-def _gain(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
+def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
     """1 - 1/s from log s."""
     if isinstance(logs, np.ndarray):
         return -np.expm1(-logs)
     return sp.csr_array((-np.expm1(-logs.data), logs.indices, logs.indptr), logs.shape)
 
 
-Pattern = tuple[Floats, tuple[float, ...]]
+VariancePattern = tuple[Floats, tuple[float, ...]]
 """Added variance of the first rows per unit of the size, and the sizes of the hypotheses."""
 
 
@@ -96,20 +96,20 @@ class NoiseFactors:
     groups: tuple[PatternGroup, ...]
 
     @classmethod
-    def of(cls, patterns: Iterable[Pattern], kind: Ints) -> NoiseFactors:
+    def from_patterns(cls, patterns: Iterable[VariancePattern], kind: Ints) -> NoiseFactors:
         """Groups of patterns, from those of consecutive hypotheses.
 
         `kind` (m,) is the kind of each row: dense patterns are stored on all rows of the kinds that they change.
         """
-        dense: dict[tuple[bool, ...], tuple[list[Singles], list[Hypotheses]]] = {}
+        dense: dict[tuple[bool, ...], tuple[list[Singles], list[PatternHypotheses]]] = {}
         sparse: list[tuple[Ints, Singles]] = []
-        few: list[Hypotheses] = []
+        few: list[PatternHypotheses] = []
         kinds, count = int(kind.max(initial=0)) + 1, 0
         for added, sizes in patterns:
             places = np.flatnonzero(added)
             touched = np.bincount(kind[places], minlength=kinds) > 0
             rows = np.flatnonzero(touched[kind])
-            if len(places) < DENSE * len(rows) or not len(places):
+            if len(places) < MIN_DENSE_FRACTION * len(rows) or not len(places):
                 sparse.append((places.astype(np.int32), added[places].astype(np.float32)))
                 few.append((count, sizes))
             else:
@@ -117,38 +117,42 @@ class NoiseFactors:
                 filled.append(np.append(added, np.zeros(len(kind) - len(added)))[rows].astype(np.float32))
                 owners.append((count, sizes))
             count += len(sizes)
-        groups = [_group(few, slice(None), _rows(sparse, len(kind)))] if sparse else []
+        groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
         del sparse
         for touched_kinds, (filled, owners) in dense.items():
-            groups.append(_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stacked(filled)))
+            groups.append(
+                _pattern_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stack_and_release(filled))
+            )
         return cls(count, tuple(groups))
 
-    def ratios(self, squares: Singles, share: Floats) -> Floats:
+    def log_likelihood_ratios(self, squares: Singles, share: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all hypotheses, from squares (m, trials) and redundancies (m,)."""
         ratio = np.empty((self.count, squares.shape[1]))
         for group in self.groups:
-            for members, values in group.ratios(squares, share):
+            for members, values in group.log_likelihood_ratios(squares, share):
                 ratio[members] = values
         return ratio
 
-    def row(self, hypothesis: int) -> tuple[Ints, Floats]:
+    def log_variance_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
         """Rows (r,) on which a hypothesis changes the noise, and the logs (r,) of its variance factors there."""
         group = next(group for group in self.groups if hypothesis in group.members)
-        return group.row(int(np.flatnonzero(group.members == hypothesis)[0]))
+        return group.log_variance_factors(int(np.flatnonzero(group.members == hypothesis)[0]))
 
 
-Hypotheses = tuple[int, tuple[float, ...]]
+PatternHypotheses = tuple[int, tuple[float, ...]]
 """Index of the first hypothesis of a pattern, and the sizes of its hypotheses."""
 
 
-def _group(owners: Sequence[Hypotheses], places: Ints | slice, added: Singles | sp.csr_array) -> PatternGroup:
+def _pattern_group(
+    owners: Sequence[PatternHypotheses], places: Ints | slice, added_variance: Singles | sp.csr_array
+) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
     pattern = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
     size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern, size, places, added)
+    return PatternGroup(members, pattern, size, places, added_variance)
 
 
-def _rows(made: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
+def _sparse_rows(made: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
     """Sparse rows (p, length) from the places and values of each."""
     ends = np.cumsum([0, *(len(places) for places, _ in made)]).astype(np.int32)
     places, values = (np.concatenate([part[k] for part in made]) for k in (0, 1))

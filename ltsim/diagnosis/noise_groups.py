@@ -7,34 +7,37 @@ from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.special import expit, log_expit, logit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.diagnosis.evidence import restricted
+from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
-FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
-"""Factors on a variance that are averaged over, in steps of a tenth; for one group among many only
-clearly larger ones.
-"""
-NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
+GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
+"""Factors on a variance that are averaged over, in steps of a tenth."""
+COARSE_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
+"""Factors on the variance of one group among many: only clearly larger ones."""
+NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Fractions of all targets, or set-ups, with more noise than declared, averaged over."""
-MIN_READINGS, MOST_READINGS = 60, 4000
-"""Smallest and largest number of readings with a heavy-tail hypothesis; fewer show none, more cost too much."""
-MUCH_WORSE = np.array([4.0, 12.0, 36.0, 100.0])
+MIN_TAIL_READINGS = 60
+"""Smallest number of readings with a heavy-tail hypothesis; fewer show none."""
+MAX_TAIL_READINGS = 4000
+"""Largest number of readings with a heavy-tail hypothesis (cost)."""
+TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
 """Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
-SCATTERING: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
+NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables with possibly more noise."""
 MIN_GROUPS = 4
 """Smallest number of targets, or stations, with a hypothesis of separate noise."""
 
 
 @dataclass(frozen=True)
-class Amounts:
+class GroupNoise:
     """Change of the noise with a variance factor for each of g groups; `members` (g, m) are the flags of their rows."""
 
     effect: NoiseSignature
@@ -46,15 +49,37 @@ class Amounts:
         """Name of the family."""
         return self.effect.name
 
-    def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
+    def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (g, trials) of each group, averaged over sizes."""
         squares, share = self.members @ residual**2, self.members @ redundancy
-        total = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
+        total = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
         return total - np.log(len(self.factors))
 
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+    def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials)."""
         raise NotImplementedError
+
+    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoise, ...]:
+        """The same change of the noise at the best of several places; empty if it has no places."""
+        del residual, redundancy
+        return ()
+
+    def expected_factors(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (m,) of the variance factors, for residuals (m,) of a given redundancy; 1 without a member."""
+        factors: Floats = 1.0 + self.members.T @ self._expected_added_variance(residual, redundancy)
+        return factors
+
+    def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (g,) of the added variance of each group, relative to the declared one."""
+        raise NotImplementedError
+
+    def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Posterior mean (g,) of the added variance of each group if its noise differs from the declared one."""
+        logs = log_restricted_likelihood_ratio(
+            self.members @ residual**2, self.members @ redundancy, self.factors[:, None]
+        )
+        mean: Floats = np.sum(normalised_probabilities(logs) * (self.factors[:, None] - 1.0), axis=0)
+        return mean
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
         """Effect whose sizes are estimated for residuals (m,) of a given redundancy."""
@@ -62,30 +87,50 @@ class Amounts:
         return self.effect
 
 
-class Level(Amounts):
+class RecordingNoiseLevel(GroupNoise):
     """Noise level of the whole recording: common to all observables, or separate for any of them."""
 
     @classmethod
-    def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
+    def from_space(cls, space: ResidualSpace, *, quieter: bool) -> RecordingNoiseLevel:
         """Noise level of a space; below the declared one only if `quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.used_readings)[1]
         members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
-        return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
+        return cls(
+            level, members, GROUP_VARIANCE_FACTORS if quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0]
+        )
 
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+    def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
-        common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
-        together = common.averaged(residual, redundancy)[0]
-        any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
+        return np.logaddexp(*self._log_evidence_of_kinds(residual, redundancy)) - np.log(2.0)
+
+    @property
+    def _with_common_group(self) -> RecordingNoiseLevel:
+        """Level with a single group of all readings."""
+        return replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+
+    def _log_evidence_of_kinds(self, residual: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+        """Log evidence (trials,) of a common factor, and of separate ones for any nonempty set of observables."""
+        together = self._with_common_group.log_evidence_by_group(residual, redundancy)[0]
+        any_observable = np.logaddexp(0.0, self.log_evidence_by_group(residual, redundancy)).sum(axis=0)
         separate = (
             any_observable
             + np.log(-np.expm1(-np.maximum(any_observable, np.finfo(np.float64).tiny)))
             - np.log(2.0 ** len(OBSERVABLES) - 1.0)
         )
-        return np.logaddexp(together, separate) - np.log(2.0)
+        return together, separate
+
+    def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over a common factor and separate ones."""
+        common, each = self._with_common_group, self.log_evidence_by_group(residual[:, None], redundancy)[:, 0]
+        noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
+        common_evidence, separate_evidence = self._log_evidence_of_kinds(residual[:, None], redundancy)
+        probability = float(expit(common_evidence - separate_evidence)[0])
+        together = probability * common._added_variance_if_noisy(residual, redundancy)
+        added: Floats = together + (1.0 - probability) * noisy * self._added_variance_if_noisy(residual, redundancy)
+        return added
 
 
-class NoiseByGroup(Amounts):
+class NoiseByGroup(GroupNoise):
     """Noise that differs between targets, or stations: a fraction of them has more than declared."""
 
     @classmethod
@@ -102,15 +147,17 @@ class NoiseByGroup(Amounts):
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(
                 cls(
-                    VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable), members, COARSE
+                    VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable),
+                    members,
+                    COARSE_VARIANCE_FACTORS,
                 )
             )
-        if MIN_READINGS <= space.n_rows <= MOST_READINGS:
-            banks += [cls._of_readings(space, acts) for acts in SCATTERING]
+        if MIN_TAIL_READINGS <= space.n_rows <= MAX_TAIL_READINGS:
+            banks += [cls._heavy_tail(space, acts) for acts in NOISY_OBSERVABLE_SETS]
         return tuple(banks)
 
     @classmethod
-    def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
+    def _heavy_tail(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
         """Hypothesis of a heavy tail: a fraction of the readings of some observables has more noise than declared."""
         pointing, kind = np.nonzero(space.used_readings)
         column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
@@ -119,15 +166,27 @@ class NoiseByGroup(Amounts):
         names, _ = noise_groups(space.sightings, "reading")
         members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.n_rows))
         effect = VarianceFunction(acts, group_kind="reading", group_names=names, per_observable=True)
-        return cls(effect, members, MUCH_WORSE)
+        return cls(effect, members, TAIL_VARIANCE_FACTORS)
 
     @property
     def name(self) -> str:
         """Name of the family."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+    def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence, averaged over the share of noisy groups."""
-        each = self.averaged(residual, redundancy)
-        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
-        return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
+        return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
+
+    def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (q, trials) for each share of noisy groups."""
+        each = self.log_evidence_by_group(residual, redundancy)
+        return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
+
+    def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over the share of noisy groups."""
+        weight = normalised_probabilities(self._log_evidence_by_fraction(residual[:, None], redundancy)[:, 0])
+        log_odds = (
+            self.log_evidence_by_group(residual[:, None], redundancy)[:, 0] + logit(NOISY_GROUP_FRACTIONS)[:, None]
+        )
+        added: Floats = weight @ expit(log_odds) * self._added_variance_if_noisy(residual, redundancy)
+        return added

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.diagnosis.noise_groups import SCATTERING
+from ltsim.diagnosis.noise_groups import NOISY_OBSERVABLE_SETS
 from ltsim.physics.laws.places import LawPlace, target_clusters
 from ltsim.physics.laws.regressor_library import additional_columns
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
@@ -14,19 +14,23 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
-EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
-"""Added variances relative to the declared one: of all readings, at the maximum of a pattern, of targets."""
-MOST_TARGETS = 60
+ADDED_VARIANCES_OF_ALL = (0.25, 0.6, 1.5, 4.0, 12.0)
+"""Added variances of all readings, relative to the declared one."""
+ADDED_VARIANCES_AT_MAXIMUM = (2.0, 6.0, 20.0)
+"""Added variances at the maximum of a pattern, relative to the declared one."""
+ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
+"""Added variances of the readings to a target, relative to the declared one."""
+MAX_SEPARATE_TARGETS = 60
 """Largest number of targets of a network in which single targets and clusters of targets are hypotheses."""
-MAX_BANDED = 2000
+MAX_POINTINGS_WITH_BANDS = 2000
 """Largest number of pointings with which noise in bands of a covariate is a hypothesis (cost)."""
-SECTORS = (np.pi / 4.0, np.pi / 2.0)
+SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of directions in which the noise may be larger."""
-THRESHOLDS = (0.25, 0.5, 0.75)
+THRESHOLD_QUANTILES = (0.25, 0.5, 0.75)
 """Thresholds of other covariates beyond which the noise may be larger, as quantiles."""
-MIN_SECTOR_SHARE = 0.05
+MIN_SECTOR_FRACTION = 0.05
 """Smallest fraction of the pointings inside a sector, and outside it."""
-NOISY_REGIONS = ("xyz", "xy", "x", "y")
+NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 """Shapes of the regions of the hall whose lines of sight may have more noise."""
 
 
@@ -41,35 +45,45 @@ def variance_functions(
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
     for at, acts, name, falling in product(
-        places, SCATTERING[:-1], [*regressors, *additional_columns(sightings)], (False, True)
+        places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_columns(sightings)], (False, True)
     ):
         pattern = replace(at, observables=acts, covariates=(name,), decreases=falling)
-        yield " and ".join(acts), pattern, GROWING
-    if len(sightings) <= MAX_BANDED:
-        for at, acts, (name, band) in product(places, SCATTERING, _bands(sightings)):
-            yield "band", replace(at, observables=acts, covariates=(name,), covariate_band=band), AT_TARGETS
+        yield " and ".join(acts), pattern, ADDED_VARIANCES_AT_MAXIMUM
+    if len(sightings) <= MAX_POINTINGS_WITH_BANDS:
+        for at, acts, (name, band) in product(places, NOISY_OBSERVABLE_SETS, _covariate_bands(sightings)):
+            yield (
+                "band",
+                replace(at, observables=acts, covariates=(name,), covariate_band=band),
+                ADDED_VARIANCES_OF_TARGETS,
+            )
     names = sightings.target_names
     groups = (
-        [(t,) for t in range(len(names))] + sorted(target_clusters(sightings)) if len(names) <= MOST_TARGETS else []
+        [(t,) for t in range(len(names))] + sorted(target_clusters(sightings))
+        if len(names) <= MAX_SEPARATE_TARGETS
+        else []
     )
-    for acts in SCATTERING:
+    for acts in NOISY_OBSERVABLE_SETS:
         for faces in REPETITION_KINDS if acts == ("distance",) and np.ptp(sightings.face) else REPETITION_KINDS[:1]:
-            yield "repeating", VarianceFunction(acts, repetition=faces), EVERYWHERE
+            yield "repeating", VarianceFunction(acts, repetition=faces), ADDED_VARIANCES_OF_ALL
         for group in groups:
-            yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
+            yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), ADDED_VARIANCES_OF_TARGETS
     for region, acts in product(
-        candidate_regions(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)
+        candidate_regions(sightings, NOISY_REGION_SHAPES), (("distance",), OBSERVABLES[1:], OBSERVABLES)
     ):
-        yield "place", VarianceFunction(acts, covariates=tuple(region.bounded_axes), region=region), AT_TARGETS
+        yield (
+            "place",
+            VarianceFunction(acts, covariates=tuple(region.bounded_axes), region=region),
+            ADDED_VARIANCES_OF_TARGETS,
+        )
 
 
-def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
+def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     """Covariates, and two of their values between which the noise may be larger."""
-    for name, width in product(("azimuth", "bearing"), SECTORS):
+    for name, width in product(("azimuth", "bearing"), SECTOR_WIDTHS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
-            inside = VarianceFunction(covariates=(name,), covariate_band=band).in_band(sightings)
-            if MIN_SECTOR_SHARE <= inside.mean() <= 1.0 - MIN_SECTOR_SHARE:
+            inside = VarianceFunction(covariates=(name,), covariate_band=band).is_in_band(sightings)
+            if MIN_SECTOR_FRACTION <= inside.mean() <= 1.0 - MIN_SECTOR_FRACTION:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += additional_columns(sightings)
@@ -77,7 +91,7 @@ def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     for name in names:
         x = noise_covariate(sightings, name)
         low, high = float(x.min()), float(x.max())
-        for threshold in np.unique(np.quantile(x, THRESHOLDS)).tolist():
+        for threshold in np.unique(np.quantile(x, THRESHOLD_QUANTILES)).tolist():
             if low < threshold < high:
                 yield name, (low, threshold)
                 yield name, (threshold, high)

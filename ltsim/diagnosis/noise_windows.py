@@ -15,48 +15,55 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import best_of, restricted
-from ltsim.diagnosis.noise_groups import MIN_READINGS, SCATTERING, Amounts
+from ltsim.diagnosis.evidence import index_of_best, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.noise_groups import MIN_TAIL_READINGS, NOISY_OBSERVABLE_SETS, GroupNoise
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
-FACTORS = np.geomspace(2.0, 100.0, 7)
+WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state that are averaged over."""
-WINDOWS = np.array([1.5, 6.0])
+DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
+"""Factors on the variance over which its posterior mean is taken, in steps of 15 %."""
+MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Mean numbers of windows in a recording that are averaged over."""
-MAX_STEPS = 200
+MAX_CHAIN_STEPS = 200
 """Largest number of steps of the chain."""
-SHAPES = ("x", "y", "z", "xy")
+WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
-LARGEST_LOG = 500.0
+MAX_LOG_RATIO = 500.0
 """Limit on the log likelihood ratio of a step, below the range of floating-point numbers."""
-ACTS = np.array([[name in acts for name in OBSERVABLES] for acts in SCATTERING], dtype=np.float64)
+OBSERVABLE_FLAGS = np.array(
+    [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
+)
 """Flags (a, 3) of the observables that may be noisy together."""
 
 
 @dataclass(frozen=True)
-class NoiseWindows(Amounts):
+class NoiseWindows(GroupNoise):
     """Change of the noise in windows of time; the members are the steps of the chain, observable by observable.
 
     Attributes
     ----------
     times : (steps + 1,) float
         Ends [s] of the steps.
+    n_places : int
+        Number of places of which this one is the best.
     """
 
     times: Floats
     space: ResidualSpace
+    n_places: int = 1
 
     @classmethod
-    def of(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
+    def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
         """Hypothesis of a space; none for few readings, and without different times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.used_readings)
         distinct = np.unique(time)
-        if space.n_rows < MIN_READINGS or len(distinct) < 2:
+        if space.n_rows < MIN_TAIL_READINGS or len(distinct) < 2:
             return ()
-        steps = min(len(distinct), MAX_STEPS)
+        steps = min(len(distinct), MAX_CHAIN_STEPS)
         starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]
         before = distinct[np.searchsorted(distinct, starts[1:]) - 1]
         times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
@@ -69,7 +76,7 @@ class NoiseWindows(Amounts):
             cls(
                 VarianceFunction(covariates=("time",), covariate_band=(times[0], times[-1])),
                 members,
-                FACTORS,
+                WINDOW_VARIANCE_FACTORS,
                 times,
                 space,
             ),
@@ -80,23 +87,23 @@ class NoiseWindows(Amounts):
         """Name of the family."""
         return "unknown:noise:windows"
 
-    def _ratios(self, residual: Floats, redundancy: Floats) -> Floats:
+    def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log likelihood ratios (steps, a, f, trials) of noise in each step, by set of observables and factor."""
         shape = len(self.times) - 1, len(OBSERVABLES), -1
-        squares = ACTS @ (self.members @ residual**2).reshape(shape)
-        share = ACTS @ (self.members @ redundancy).reshape(shape)
-        ratios = restricted(squares[:, :, None], share[:, :, None], self.factors[:, None])
-        return np.clip(ratios, -LARGEST_LOG, LARGEST_LOG)
+        squares = OBSERVABLE_FLAGS @ (self.members @ residual**2).reshape(shape)
+        share = OBSERVABLE_FLAGS @ (self.members @ redundancy).reshape(shape)
+        ratios = log_restricted_likelihood_ratio(squares[:, :, None], share[:, :, None], self.factors[:, None])
+        return np.clip(ratios, -MAX_LOG_RATIO, MAX_LOG_RATIO)
 
     @property
-    def _changes(self) -> Floats:
+    def _change_probabilities(self) -> Floats:
         """Probabilities of a change from a step to the next."""
-        return np.minimum(2.0 * WINDOWS / len(self.times), 0.5)
+        return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.times), 0.5)
 
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+    def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials), averaged over all sizes."""
-        gains = np.exp(self._ratios(residual, redundancy))
-        go = self._changes[:, None, None, None]
+        gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
+        go = self._change_probabilities[:, None, None, None]
         quiet = noisy = np.full((len(go), *gains.shape[1:]), 0.5)
         total = np.zeros(quiet.shape)
         for gain in gains:
@@ -105,53 +112,73 @@ class NoiseWindows(Amounts):
             total += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
         flat = total.reshape(-1, total.shape[-1])
-        return log_sum_exp(flat) - np.log(len(flat))
+        return log_sum_exp(flat) - np.log(len(flat) * self.n_places)
+
+    def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Relative added variance (g,), averaged over all sequences of the states by forward and backward recursion."""
+        dense = replace(self, factors=DENSE_FACTORS)
+        logs, go = (
+            dense._log_likelihood_ratios(residual[:, None], redundancy)[..., 0],
+            self._change_probabilities[:, None, None],
+        )
+        quiet = noisy = np.full((len(go), *logs.shape[1:]), 0.5)
+        total, ahead = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
+        for here, gain in zip(ahead, np.exp(logs), strict=True):
+            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+            total += np.log(quiet + noisy)
+            here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
+            quiet, noisy = here
+        weight = normalised_probabilities(total.ravel()).reshape(total.shape) * (DENSE_FACTORS - 1.0)
+        added = np.empty((len(logs), len(OBSERVABLES)))
+        quiet = noisy = np.ones(total.shape)
+        for step in reversed(range(len(logs))):
+            in_noise = ahead[step, 1] * noisy / (ahead[step, 0] * quiet + ahead[step, 1] * noisy)
+            added[step] = (weight * in_noise).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
+            noisy = noisy * np.exp(logs[step])
+            quiet, noisy = quiet + go * (noisy - quiet), noisy + go * (quiet - noisy)
+            quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
+        return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
         """Effect with the observables and the windows of the most probable sequence of states (Viterbi's algorithm)."""
-        ratios = self._ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
-        best, states = _most_probable_states(ratios, self._changes[0])
-        acts = SCATTERING[best // len(self.factors)]
-        return VarianceFunction(acts, covariates=("time",), covariate_band=self._windows(states))
+        ratios = self._log_likelihood_ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
+        best, states = _most_probable_states(ratios, self._change_probabilities[0])
+        acts = NOISY_OBSERVABLE_SETS[best // len(self.factors)]
+        assert isinstance(self.effect, VarianceFunction)
+        return replace(self.effect, observables=acts, covariate_band=self._window_times(states))
 
-    def confined(
-        self, windows: VarianceFunction, residual: Floats, redundancy: Floats
-    ) -> tuple[VarianceFunction, float]:
-        """Windows of the noise at one place, and their log evidence.
-
-        The place is a group of targets, a set-up or a region of the hall; the windows are found again there.
-        """
-        s = self.space.sightings
+    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
+        """Windows at the best place: a group of targets, a set-up or a region of the hall."""
+        s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
         ]
         places += [replace(windows, stations=(name,)) for name in s.station_names if len(s.station_names) > 1]
         places += [
             replace(windows, region=region, covariates=("time", *region.bounded_axes))
-            for region in candidate_regions(s, SHAPES)
+            for region in candidate_regions(s, WINDOW_REGION_SHAPES)
         ]
         if not places:
-            return windows, -np.inf
-        place = places[best_of(np.array([self._log_evidence(effect, residual, redundancy) for effect in places]))]
-        whole = replace(place, covariate_band=(self.times[0], self.times[-1]))
+            return ()
+        place = places[
+            index_of_best(np.array([self._log_evidence_of(effect, residual, redundancy) for effect in places]))
+        ]
+        whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
         here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
         rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
-        inside, share = (residual * rows)[:, None], redundancy * rows
-        ratios = self._ratios(inside, share)[:, SCATTERING.index(windows.observables), :, 0]
-        states = _most_probable_states(ratios, self._changes[0])[1]
-        evidence = float(self.evidence(inside, share)[0]) - float(np.log(len(places)))
-        return replace(place, covariate_band=self._windows(states)), evidence
+        members = sp.csr_array(self.members @ sp.diags_array(rows))
+        return (replace(self, effect=whole, members=members, n_places=len(places)),)
 
-    def _log_evidence(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
+    def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of an effect, averaged over its sizes."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.used_readings] - 1.0
         rows = np.flatnonzero(added)
         factors = 1.0 + (self.factors[:, None] - 1.0) * added[rows]
-        logs = restricted(residual[rows] ** 2, redundancy[rows], factors).sum(axis=1)
+        logs = log_restricted_likelihood_ratio(residual[rows] ** 2, redundancy[rows], factors).sum(axis=1)
         return float(log_sum_exp(logs) - np.log(len(logs)))
 
-    def _windows(self, states: Bools) -> tuple[float, ...]:
+    def _window_times(self, states: Bools) -> tuple[float, ...]:
         """Times at which the noise becomes larger and smaller, in turn."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.times[edges].tolist())

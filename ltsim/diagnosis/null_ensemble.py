@@ -19,15 +19,15 @@ from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
-TRIALS = 300
+MIN_SIMULATED_RECORDINGS = 300
 """Smallest number of simulated recordings without any effect: p-values down to 1 / 301."""
-GRAM_DRAWS = 200
+N_GRAM_DRAWS = 200
 """Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
-MOST_UNKNOWNS = 500
+MAX_EXACT_UNKNOWNS = 500
 """Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
 
 
-AT_ONCE = 50
+N_RESIDUALS_PER_PROJECTION = 50
 """Number of simulated residuals that are projected at a time."""
 
 
@@ -41,7 +41,7 @@ class NullEnsemble:
     vectors : (m, 1 + t + u) float32
         Residual of the model; residuals of t simulated recordings, by which a search is judged; orthonormal basis of
         the estimated parameters, or with `gram_is_monte_carlo` further simulated residuals.
-    count : int
+    n_trials : int |
         Number t of simulated recordings; 0 where the search is not judged.
     model_basis : (m, e) float
         Orthonormal basis of the model.
@@ -53,23 +53,23 @@ class NullEnsemble:
 
     space: ResidualSpace
     vectors: Singles
-    count: int
+    n_trials: int
     model_basis: Floats
     is_first_pass: bool
     gram_is_monte_carlo: bool
 
     @classmethod
-    def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
-        """Ensemble of a residual space, with `trials` simulated recordings."""
+    def from_space(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
+        """Ensemble of a residual space, with `simulated_residuals` simulated recordings."""
         projection = space.projector
-        small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS
+        small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
         basis = projection.basis if isinstance(projection, BasisProjection) and small else None
-        others = GRAM_DRAWS if basis is None else basis.shape[1]
+        others = N_GRAM_DRAWS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + trials + others), dtype=np.float32)
         vectors[:, 0] = space.residuals
-        _simulate(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + trials])
+        _simulate_residuals(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + trials])
         if basis is None:
-            _simulate(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + trials :])
+            _simulate_residuals(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + trials :])
         else:
             vectors[:, 1 + trials :] = basis
         nothing = np.zeros((space.n_rows, 0))
@@ -81,31 +81,31 @@ class NullEnsemble:
         Gram matrices and null statistics are those of the first pass.
         """
         vectors = residual[:, None].astype(np.float32)
-        return replace(self, vectors=vectors, count=0, model_basis=model_basis, is_first_pass=False)
+        return replace(self, vectors=vectors, n_trials=0, model_basis=model_basis, is_first_pass=False)
 
     @property
-    def trials(self) -> Singles:
+    def simulated_residuals(self) -> Singles:
         """Residuals (m, t) of simulated recordings."""
-        return self.vectors[:, 1 : 1 + self.count]
+        return self.vectors[:, 1 : 1 + self.n_trials]
 
     @cached_property
-    def _rows(self) -> Ints:
+    def _row_of_reading(self) -> Ints:
         """Row (n, 3) of each reading; any row for readings that are not used, whose weight is zero."""
         use = self.space.used_readings
         rows = np.zeros(use.shape, dtype=np.int64)
         rows[use] = np.arange(int(use.sum()))
         return rows
 
-    def at(self, pointings: Ints) -> Singles:
+    def vectors_at(self, pointings: Ints) -> Singles:
         """Vectors (p, 3, v) at some pointings; only those of used readings are defined."""
-        return self.vectors[self._rows[pointings]]
+        return self.vectors[self._row_of_reading[pointings]]
 
-    def split(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
+    def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
         """Products (..., k, v) with all vectors, split into those with residual, trials and basis."""
-        edge = 1 + self.count
+        edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
-    def gram(self, scores: Floats | Singles, products: Floats) -> Floats:
+    def projected_gram(self, scores: Floats | Singles, products: Floats) -> Floats:
         """Gram matrices (..., k, k) of projected columns.
 
         Parameters
@@ -115,18 +115,18 @@ class NullEnsemble:
         products : (..., k, k) float
             Products of the columns with each other.
         """
-        squares = square(self.split(scores)[2])
-        return squares / (self.vectors.shape[1] - 1 - self.count) if self.gram_is_monte_carlo else products - squares
+        squares = row_gram(self.split_products(scores)[2])
+        return squares / (self.vectors.shape[1] - 1 - self.n_trials) if self.gram_is_monte_carlo else products - squares
 
 
-def _simulate(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
+def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
     """Computation of the residuals (m, count) of simulated recordings, in place."""
     white = rng.standard_normal(residuals.shape)
-    for start in range(0, white.shape[1], AT_ONCE):
-        part = slice(start, start + AT_ONCE)
+    for start in range(0, white.shape[1], N_RESIDUALS_PER_PROJECTION):
+        part = slice(start, start + N_RESIDUALS_PER_PROJECTION)
         residuals[:, part] = space.project(white[:, part])
 
 
-def square(rows: Any) -> Any:
+def row_gram(rows: Any) -> Any:
     """Gram matrices (..., k, k) of rows (..., k, v)."""
     return rows @ np.swapaxes(rows, -1, -2)

@@ -11,24 +11,24 @@ from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, 
 from ltsim.adjustment.identification.selection import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools
-from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of, gross_finding
+from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
-FAR_OUT = 8.0
+MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Error of an outlier relative to its prediction, in standard deviations, that twice the declared
 noise does not reach.
 """
-AGREES = 4.0
+MAX_CONSISTENT_W = 4.0
 """Normalised residual up to which an omitted reading is consistent."""
-GROSS = 30.0
+MIN_GROSS_W = 30.0
 """Smallest normalised residual of a gross error: noise of long ranges exceeds any error of a tracker."""
-PATTERN = 2
+MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at one station or target that count as single errors."""
 
 
-def mistakes_in(selection: CauseSelection) -> list[Hypothesis]:
+def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
     """Mistakes of a recording, among the selected hypotheses, that are corrected before the search for effects.
 
     These are wrongly recorded rows and contradicting reference values with sufficient evidence. Shifts are included
@@ -40,7 +40,7 @@ def mistakes_in(selection: CauseSelection) -> list[Hypothesis]:
         [c.hypothesis for c in selection.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN],
     )
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange)]
-    gross = any(fit.displacement(h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > GROSS for h in shifts)
+    gross = any(fit.displacement(h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts)
     return [
         h
         for h in chosen
@@ -48,23 +48,23 @@ def mistakes_in(selection: CauseSelection) -> list[Hypothesis]:
     ]
 
 
-def single_errors(fit: NetworkFit) -> Bools:
+def is_single_error(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers that no effect explains: gross ones, and far ones that are single at their place.
 
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
-    far, single = error > FAR_OUT, fit.is_gross_reading & (error > GROSS)
+    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_W)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
-        far &= count[place] <= PATTERN
+        far &= count[place] <= MAX_SINGLE_OUTLIERS
     return single | far
 
 
-def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
+def is_consistent_when_omitted(adjustment: Adjustment, omitted: Bools) -> Bools:
     """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
     whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return omitted & (whitened < AGREES)
+    return omitted & (whitened < MAX_CONSISTENT_W)
 
 
 def adapted_baseline(
@@ -75,8 +75,8 @@ def adapted_baseline(
     The recording of the adjustment is corrected by the estimates; their uncertainty is included in the model.
     `restored` (n, 3) marks readings that are no errors.
     """
-    fit, mistakes = selection.fit, mistakes_in(selection)
-    errors = single_errors(fit)
+    fit, mistakes = selection.fit, corrected_mistakes(selection)
+    errors = is_single_error(fit)
     if restored is not None:
         errors &= ~restored
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracted_changes=True, reading_mask=~errors)
@@ -92,4 +92,8 @@ def adapted_baseline(
     if tripods:
         baseline = adjust(moved, construction, effects=baseline.effects, reading_mask=~errors, start=baseline.state)
     axes = [test for test in baseline.axis_tests if test.is_excluded]
-    return baseline, ~errors, [*map(finding_of, tests), *map(axis_finding, axes), *map(gross_finding, tripods)]
+    return (
+        baseline,
+        ~errors,
+        [*map(finding_of_test, tests), *map(axis_finding, axes), *map(gross_error_finding, tripods)],
+    )

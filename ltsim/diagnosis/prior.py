@@ -3,8 +3,9 @@
 An unmodelled cause and none have equal prior probability. The probability of a cause is divided among kinds of
 explanations, and each part equally among all of its kind that are possible in a recording: effects of the catalogue,
 their places and shapes, responses, regressors and places of laws (each operator of a regressor has the factor
-`laws.regressor_library.OPERATOR_ODDS`). `rows` is the table on the theory page. The numbers are judgements of how often
-a cause occurs in service; several were revised after experiments with known causes. A factor of two in one of them is
+`laws.regressor_library.OPERATOR_ODDS`). `prior_rows` is the table on the theory page. The numbers are judgements of how
+often a cause occurs in service; several were revised after experiments with known causes. A factor of two in one of
+them is
 0.7 of log evidence.
 """
 
@@ -14,9 +15,9 @@ import numpy as np
 
 from ltsim.core.probability import P_CONSTANT
 
-PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_CONSTANT}
+CAUSE_PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_CONSTANT}
 """Prior probability of each kind of unmodelled cause, given that there is one."""
-ABOUT = {
+CAUSE_TEXTS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
     "noise": "a change of the noise of the catalogue",
@@ -25,16 +26,16 @@ ABOUT = {
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""Texts of the kinds in `PRIOR`."""
+"""Texts of the kinds in `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is in no list but resembles a listed one."""
-SAME_OBSERVABLE = 0.5
-"""Probability that such a cause acts on the observable of the one that it resembles."""
-P_CAP_TESTS = 1.0 - P_UNMODELLED * SAME_OBSERVABLE
+P_SAME_OBSERVABLE = 0.5
+"""Probability that an unmodelled cause acts on the observable of the listed cause that it resembles."""
+P_CAP_TESTS = 1.0 - P_UNMODELLED * P_SAME_OBSERVABLE
 """Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
-PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
+PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
-KINDS = {
+RESPONSE_PRIOR = {
     "reading": 0.5,
     "instrument": 0.17,
     "circle": 0.03,
@@ -43,19 +44,19 @@ KINDS = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Prior probabilities of the kinds of responses: an unknown error affects mostly a reading alone, and if all targets
-seem to move it is the stands.
-"""
-AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probabilities of the kinds of responses for causes that act at some targets only: mostly the target itself,
-because the instrument does not depend on it.
-"""
-FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
+"""Prior probability of each kind of response. An unknown error mostly affects a reading alone; if all targets seem to
+move, the stands move."""
+RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
+"""Prior probability of each kind of response for causes at some targets only. Mostly the target itself changes, because
+the instrument does not depend on it."""
+FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Weights of the forms that a curve may have, among the possible ones: mostly the curve itself, or a short formula."""
-P_PIECEWISE, P_SWITCHED, P_PER_SETUP = 0.1, 0.1, 0.1
-"""Prior probabilities of laws with a few steps and ramps, of functions of time that are switched on and off, and of
-laws that differ by set-up.
-"""
+P_PIECEWISE = 0.1
+"""Prior probability of a law with a few steps and ramps."""
+P_SWITCHED = 0.1
+"""Prior probability of a function of time that is switched on and off."""
+P_PER_SETUP = 0.1
+"""Prior probability of a law that differs by set-up."""
 P_FIXED_RATIO = 0.5
 """Prior probability that the components of a law have a fixed ratio."""
 P_SINGLE_SET_UP = {"stand": 0.5}
@@ -68,15 +69,15 @@ second effect.
 """
 
 
-def log_share(kind: str, among: int) -> float:
-    """Log prior of each of `among` explanations of a kind of `PRIOR`."""
-    return float(np.log(PRIOR[kind] / max(among, 1)))
+def log_prior_share(kind: str, among: int) -> float:
+    """Log prior of each of `among` explanations of a kind of `CAUSE_PRIOR`."""
+    return float(np.log(CAUSE_PRIOR[kind] / max(among, 1)))
 
 
-def rows() -> Iterator[tuple[str, float]]:
+def prior_rows() -> Iterator[tuple[str, float]]:
     """Pairs of text and prior probability of every kind of explanation; the probabilities add up to one."""
-    for kind, part in PRIOR.items():
+    for kind, part in CAUSE_PRIOR.items():
         if kind != "law":
-            yield ABOUT[kind], part
+            yield CAUSE_TEXTS[kind], part
             continue
-        yield from ((f"{ABOUT[kind]}: {where}", part * share) for where, share in PLACES.items())
+        yield from ((f"{CAUSE_TEXTS[kind]}: {where}", part * share) for where, share in PLACE_PRIOR.items())

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import best_of
+from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
@@ -28,13 +28,13 @@ from ltsim.physics.laws.regressors import (
 from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
-WEIGHTS = ("distance", "elevation", "height")
+FACTOR_QUANTITIES = ("distance", "elevation", "height")
 """Quantities to which the effect of a law may be proportional."""
-SHAPES = ("z", "x", "y", "xy")
+FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which a law may be confined."""
-MAX_COEFFICIENTS = 2
+MAX_TIME_COEFFICIENTS = 2
 """Largest number of coefficients of the function of time: those of a wave."""
-WITHIN = 10.0
+MAX_REFINED_DEFICIT = 10.0
 """Largest deficit of log evidence, before refinement, of a product that is refined."""
 
 
@@ -42,23 +42,23 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
     """True for a law of one observable everywhere, with one function of time of at most two coefficients."""
     if law.response.kind != "reading" or law.response.component_units or law.stations or law.targets:
         return False
-    return law.regressor.n_columns <= MAX_COEFFICIENTS and law.regressor.covariates[:1] in [
+    return law.regressor.n_columns <= MAX_TIME_COEFFICIENTS and law.regressor.covariates[:1] in [
         (name,) for name in CLOCK_COVARIATES
     ]
 
 
-def product_forms(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Best product of a law of readings in time with a second factor, refined; empty if none is nearly as good."""
-    law, sightings = form.effect, exact.space.sightings
+    law, sightings = form.effect, calculator.space.sightings
     assert isinstance(law, EmpiricalLaw)
-    weights = list(_weights(sightings, LEVER_FUNCTION if "distance" not in law.response.observables else ""))
-    laws = [_times(law, weight) for weight in weights]
-    values = exact.evidence(laws, base)
-    top = best_of(values)
+    weights = list(_second_factors(sightings, LEVER_FUNCTION if "distance" not in law.response.observables else ""))
+    laws = [_law_product(law, weight) for weight in weights]
+    values = calculator.log_evidence(laws, base_model)
+    top = index_of_best(values)
     prior = form.log_prior + float(np.log(OPERATOR_ODDS / len(weights)))
-    if values[top] + prior < form.value - WITHIN:
+    if values[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
         return []
-    refined, value = exact.refine_locally([laws[top]], base)[0]
+    refined, value = calculator.refine_locally([laws[top]], base_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
     if law.regressor.kind == "switch":
         weight = next(f for f in refined.regressor.factors if f.kind != "switch")
@@ -68,19 +68,19 @@ def product_forms(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> l
             else Regressor("product", factors=(smooth_regressor("time", N_MODES_FACTOR), weight))
         )
         alone = replace(refined, regressor=factor)
-        products += switched_forms(exact, alone, prior, base, refine=False)
+        products += switched_forms(calculator, alone, prior, base_model, refine=False)
     return products
 
 
-def _times(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
+def _law_product(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
     """Product of a law with a second factor; a region comes first."""
     factors = (weight, law.regressor) if weight.region is not None else (law.regressor, weight)
     return replace(law, regressor=Regressor("product", factors=factors), scale_index=0)
 
 
-def _weights(sightings: Sightings, function: str) -> Iterator[Regressor]:
+def _second_factors(sightings: Sightings, function: str) -> Iterator[Regressor]:
     """Second factors: powers of quantities, and regions of the hall (`function` of `passage`)."""
-    for name in WEIGHTS:
+    for name in FACTOR_QUANTITIES:
         if np.ptp(sightings.quantities[name]) > 0:
             yield scalar_regressor(name, "power")
-    yield from (passage_regressor(region, function) for region in candidate_regions(sightings, SHAPES))
+    yield from (passage_regressor(region, function) for region in candidate_regions(sightings, FACTOR_REGION_SHAPES))

@@ -13,7 +13,7 @@ from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
-TARGETS = Table(
+DIAGNOSED_TARGETS_TABLE = Table(
     "targets.csv",
     "targets adjusted with the findings modelled",
     (
@@ -21,10 +21,12 @@ TARGETS = Table(
         *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
     ),
 )
-BEFORE = replace(RESIDUALS_TABLE, file="residuals_before.csv", about="residuals of the ordinary adjustment")
+RESIDUALS_BEFORE_TABLE = replace(
+    RESIDUALS_TABLE, file="residuals_before.csv", about="residuals of the ordinary adjustment"
+)
 
 
-class Where(Entry):
+class FindingScope(Entry):
     """Scope of a finding; empty means everything."""
 
     observables: tuple[str, ...] = ()
@@ -39,7 +41,7 @@ class Where(Entry):
     """Covariates on which the effect depends: time, angles, or an additional column of the recording."""
 
 
-class Evidence(Entry):
+class FindingEvidence(Entry):
     """Strength of the evidence for a finding; `p_value` is corrected for everything that was searched."""
 
     chi2_drop: Finite
@@ -54,7 +56,7 @@ class Evidence(Entry):
     """Probability of any effect on these observables, at this place and with these covariates."""
 
     @property
-    def chance(self) -> float:
+    def p_real(self) -> float:
         """Probability of the name, or of any such change."""
         return max(self.probability, self.p_located or 0.0)
 
@@ -68,7 +70,7 @@ class Equivalent(Entry):
     """Posterior probability of this effect."""
 
 
-class Estimate(Entry):
+class ParameterEstimate(Entry):
     """Estimate of a parameter of a finding, or of a constant of an instrument: a correction, truth minus reading."""
 
     name: str
@@ -81,13 +83,13 @@ class Estimate(Entry):
     """Unit of display of value and standard deviation."""
 
     @classmethod
-    def of(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
+    def from_si(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
         """Estimate of a parameter from its value and standard deviation [SI]."""
         factor = SI_PER_UNIT[parameter.unit]
         return cls(name=parameter.name, value=value / factor, sigma=sigma / factor, unit=parameter.unit)
 
 
-class Curve(Entry):
+class ResponseCurve(Entry):
     """Response of an effect as a function of one covariate."""
 
     covariate: str
@@ -111,13 +113,13 @@ class Finding(Entry):
     """True for an effect of the catalogue."""
     sentence: str = ""
     """Sentence on the finding."""
-    where: Where = Where()
+    where: FindingScope = FindingScope()
     """Scope of the finding."""
-    parameters: tuple[Estimate, ...] = ()
+    parameters: tuple[ParameterEstimate, ...] = ()
     """Sizes of the effect."""
     target_shift_rms_um: OptionalFloat = None
     """Displacement of the targets if the finding is not modelled [um]: rms after the best rigid fit."""
-    evidence: Evidence
+    evidence: FindingEvidence
     """Strength of the evidence."""
     equivalents: tuple[Equivalent, ...] = ()
     """Other effects that cannot be excluded."""
@@ -129,7 +131,7 @@ class Finding(Entry):
     """Response on which an effect outside the catalogue acts."""
     driver: str = ""
     """Regressor: quantity or function on which an effect outside the catalogue depends."""
-    curve: Curve | None = None
+    curve: ResponseCurve | None = None
     """Curve of the response; null if it does not depend on a single covariate."""
 
 
@@ -196,7 +198,7 @@ class DetectableEntry(Entry):
     """Unit of the size."""
 
     @classmethod
-    def of(cls, minimal: MinimalSize) -> Self:
+    def from_minimal_size(cls, minimal: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
         size = minimal.median_size / SI_PER_UNIT[minimal.unit]
         return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
@@ -207,13 +209,13 @@ class InstrumentEntry(Entry):
 
     name: str
     """Name of the instrument."""
-    parameters: tuple[Estimate, ...] = ()
+    parameters: tuple[ParameterEstimate, ...] = ()
     """Estimated constants."""
     determined: tuple[DeterminedEntry, ...] = ()
     """Combinations that the recording determines."""
 
 
-FINDINGS = Table(
+FINDINGS_TABLE = Table(
     "findings.csv",
     "findings, one row per parameter",
     (
@@ -226,7 +228,7 @@ FINDINGS = Table(
         *texts(unit="of value and sigma"),
     ),
 )
-FIT = Table(
+FIT_TABLE = Table(
     "fit.csv",
     "fit before and after",
     (
@@ -237,9 +239,9 @@ FIT = Table(
         Column("held_out_error", "normalised error of held-out observations", digits=3),
     ),
 )
-UNDETECTABLE = Table(
+UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
     "effects that leave no residual",
     columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
 )
-DETECTABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))
+DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

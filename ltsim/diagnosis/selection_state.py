@@ -12,17 +12,17 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import WIDE
+from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.diagnosis.instruments import Contradiction
-from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
-from ltsim.diagnosis.null_ensemble import TRIALS
+from ltsim.diagnosis.instruments import ConstantContradiction
+from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.signature import CandidateEffect, Signature
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
-REWEIGHTINGS = 2
+N_VARIANCE_ITERATIONS = 2
 """Number of adjustments in which the variance components converge."""
 
 
@@ -30,40 +30,43 @@ REWEIGHTINGS = 2
 class SelectionState:
     """State of the model selection on a recording without blunders.
 
-    `baseline` is the ordinary adjustment, the start of all others, `use` (n, 3) flags of the used readings, `sigma` (n,
+    `baseline` is the ordinary adjustment, the start of all others, `is_used` (n, 3) flags of the used readings,
+    `reading_sigmas` (n,
     3) their standard deviations, `trials` the number of simulated recordings of the search.
     """
 
     baseline: Adjustment
-    use: Bools
+    is_used: Bools
     seed: int
-    trials: int = TRIALS
-    ordinary: bool = True
+    trials: int = MIN_SIMULATED_RECORDINGS
+    tests_ordinary_constants: bool = True
     """True if constants of the ordinary calibration are hypotheses too."""
-    sigma: Floats = field(init=False)
+    reading_sigmas: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
     space: ResidualSpace = field(init=False)
-    bank: NoiseBank = field(init=False)
+    noise_bank: NoiseBank = field(init=False)
     _searcher: Searcher | None = None
-    _scored: Searcher | None = None
+    _ranked_noise: Searcher | None = None
 
     def __post_init__(self) -> None:
-        self.sigma = self.recording.sigma()
+        self.reading_sigmas = self.recording.sigma()
         self.set_adjustment(self.baseline)
 
     @property
     def searcher(self) -> Searcher:
         """Search in the residual space; scores are computed on first use."""
         if self._searcher is None:
-            before = self._scored
-            cards = None if before is None else before.cards.reweighted(before.space, self.space)
+            before = self._ranked_noise
+            cards = None if before is None else before.catalogue_signatures.with_weights_of(before.space, self.space)
             trials = self.trials if before is None else 0
-            self._scored = None
-            self._searcher = Searcher(self.space, self.seed, trials, cards=cards, ordinary=self.ordinary)
+            self._ranked_noise = None
+            self._searcher = Searcher(
+                self.space, self.seed, trials, catalogue_signatures=cards, ordinary=self.tests_ordinary_constants
+            )
         return self._searcher
 
     @property
-    def empty(self) -> Model:
+    def empty_model(self) -> Model:
         """Model without members."""
         return Model((), (), (), self.space.residuals)
 
@@ -75,7 +78,8 @@ class SelectionState:
     def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
         """Nonlinear refit with effects; without effects the ordinary adjustment.
 
-        Parameters have a prior of `WIDE` times their plausible size, since some combinations may leave no residual.
+        Parameters have a prior of `WIDE_PRIOR_SIZES` times their plausible size, since some
+        combinations may leave no residual.
         """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
@@ -85,8 +89,8 @@ class SelectionState:
             self.recording,
             old.construction,
             sigma=sigma,
-            reading_mask=self.use,
-            effect_prior_sigma=WIDE,
+            reading_mask=self.is_used,
+            effect_prior_sigma=WIDE_PRIOR_SIZES,
             prior=old.problem.prior,
         )
 
@@ -96,61 +100,78 @@ class SelectionState:
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start=old.state)
 
-    def release_priors(self, constants: Sequence[Contradiction]) -> None:
+    def release_priors(self, constants: Sequence[ConstantContradiction]) -> None:
         """Widening of the prior of contradicting constants, with a new adjustment."""
         old = self.baseline
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for constant in constants:
             owners = [self.recording.instruments.index(name) for name in constant.instruments]
             freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
-        prior = old.problem.prior.widened(freed)
+        prior = old.problem.prior.with_free_parameters(freed)
         self.baseline = adjust(
             self.recording,
             old.construction,
             effects=old.effects,
             sigma=self.recording.sigma(),
-            reading_mask=self.use,
+            reading_mask=self.is_used,
             start=old.state,
             prior=prior,
         )
-        self.set_adjustment(self.refit((), self.sigma).adjustment)
+        self.set_adjustment(self.refit((), self.reading_sigmas).adjustment)
 
     def set_adjustment(self, adjustment: Adjustment) -> None:
         """Replacement of the adjustment: the residual space is rebuilt and cached scores are removed."""
-        self.space, self._scored, self._searcher = (
+        self.space, self._ranked_noise, self._searcher = (
             ResidualSpace.from_adjustment(adjustment),
-            self._searcher or self._scored,
+            self._searcher or self._ranked_noise,
             None,
         )
-        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
-        tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
-        self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
+        self.noise_bank = self._noise_bank(self.space)
 
-    def noises(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
+    def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        return self.bank.ranked(model.residual, redundancy, model.basis)
+        return self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
         """Addition of a change of the noise; one of the same kind at the same place is increased."""
         for i, change in enumerate(self.noise):
             if change.effect == further.effect:
-                values = tuple(a + b for a, b in zip(change.values, further.values, strict=True))
-                self.noise[i] = replace(change, values=values, drop=change.drop + further.drop)
+                values = tuple(a + b for a, b in zip(change.sizes, further.sizes, strict=True))
+                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + further.chi2_drop)
                 break
         else:
             self.noise.append(further)
-        self.sigma = self._weighted(self.noise)
+        self.reading_sigmas = self._weighted_sigmas(self.noise)
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
         """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
-        for _ in range(REWEIGHTINGS):
-            space = ResidualSpace.from_adjustment(self.refit((), self.sigma).adjustment).with_effects(effects)
+        for _ in range(N_VARIANCE_ITERATIONS):
+            space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
             for i, change in enumerate(self.noise):
-                others = self._weighted([*self.noise[:i], *self.noise[i + 1 :]])
-                self.noise[i] = replace(most_likely(space, others, change), drop=change.drop)
-            self.sigma = self._weighted(self.noise)
-        return self.refit((), self.sigma).adjustment
+                others = self._weighted_sigmas([*self.noise[:i], *self.noise[i + 1 :]])
+                self.noise[i] = replace(most_likely_sizes(space, others, change), chi2_drop=change.chi2_drop)
+            self.reading_sigmas = self._weighted_sigmas(self.noise)
+        return self.refit((), self.reading_sigmas).adjustment
+
+    def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
+        """Posterior mean (n, 3) of the factors on the declared variance, mean `effects` being in the model.
+
+        Each change of the noise is averaged over its alternatives, given the others.
+        """
+        factors = np.ones(self.reading_sigmas.shape)
+        for change in self.noise:
+            others = self._weighted_sigmas([n for n in self.noise if n is not change])
+            space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
+            factors *= self._noise_bank(space).expected_factors()
+        return factors
+
+    def _noise_bank(self, space: ResidualSpace) -> NoiseBank:
+        """Noise hypotheses on a residual space."""
+        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
+        return NoiseBank.from_space(
+            space, noise_hypotheses(space.sightings, self.recording.instruments), quieter=quieter
+        )
 
     def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:
         """Re-estimation of the variance components with effects in the model.
@@ -159,18 +180,20 @@ class SelectionState:
         """
         space = ResidualSpace.from_adjustment(self.estimate_variance_components(effects)).with_effects(effects)
         estimates = [
-            most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)
+            most_likely_sizes(space, self._weighted_sigmas([n for n in self.noise if n is not change]), change)
             for change in self.noise
         ]
         self.noise = [
-            n for n, change in zip(self.noise, estimates, strict=True) if 0.5 * change.drop + change.log_prior > 0.0
+            n
+            for n, change in zip(self.noise, estimates, strict=True)
+            if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
-        self.sigma = self._weighted(self.noise)
+        self.reading_sigmas = self._weighted_sigmas(self.noise)
         self.set_adjustment(self.estimate_variance_components(effects))
 
-    def _weighted(self, noise: Sequence[NoiseHypothesis]) -> Floats:
+    def _weighted_sigmas(self, noise: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) with changes of the noise."""
         sigma, sightings = self.recording.sigma(), self.baseline.sightings
         for change in noise:
-            sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.values)))
+            sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))
         return sigma

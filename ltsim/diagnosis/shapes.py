@@ -8,35 +8,37 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.evidence import shares, wide_posterior
+from ltsim.diagnosis.evidence import normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.diagnosis.schema import Estimate
+from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
 
-STEP, FLAT = 0.05, 20.0
-"""Step [m] of the second differences over a place of the hall, and factor on the step that represents no bound."""
+PLACE_DIFFERENCE_STEP = 0.05
+"""Step [m] of the second differences over a place of the hall."""
+UNBOUNDED_STEP_FACTOR = 20.0
+"""Factor on the step that represents no bound."""
 
 
-def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
+def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, count: int) -> tuple[Floats, Floats]:
     """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
-    def even(x: Floats) -> Floats:
+    def evenly_spaced(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
-    low, high = min(shape.lower_bound, now), max(shape.upper_bound, now)
+    low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
     grid = np.geomspace(low, high, count) if shape.has_logarithmic_grid else np.linspace(low, high, count)
     if shape.has_reciprocal_grid:
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
-    near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
-    values = np.unique(np.concatenate([grid, near, [now]]))
-    edges = even(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
+    near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
+    values = np.unique(np.concatenate([grid, near, [estimate]]))
+    edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def interpolate(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+def interpolate_shape(shape: ShapeParameter, low: float, high: float, position: float) -> float:
     """Value of a shape constant at u, from -1 at `low` to 1 at `high`, uniform in the coordinate of its grid."""
-    s = 0.5 * (u + 1.0)
+    s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
         return float(low * (high / low) ** s)
     if shape.has_reciprocal_grid and low > 0:
@@ -77,10 +79,10 @@ def _cell_widths(effects: Sequence[CandidateEffect]) -> dict[float, float]:
     return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
 
 
-def all_shapes(
-    exact: EvidenceCalculator,
+def shape_nodes(
+    calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    base: Model,
+    base_model: Model,
     spread: Mapping[str, float],
     *,
     plausible: bool = False,
@@ -93,11 +95,11 @@ def all_shapes(
     shapes = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
     ]
-    near = effect.neighbours(exact.space.sightings)
+    near = effect.neighbours(calculator.space.sightings)
     if not (shapes or near) or len(shapes) > 2:
         return []
     count = 33 if len(shapes) == 1 and not near else 15
-    axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
+    axes = [_dense_grid(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
     sizes = effect.size_scales
     gaps = _cell_widths([effect, *near])
     points = [
@@ -105,8 +107,12 @@ def all_shapes(
         for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
     ]
     shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
-    posteriors = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
-    weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in posteriors]
+    posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
+    weighed = (
+        calculator.log_evidence(shaped, base_model).tolist()
+        if plausible
+        else [evidence for _, _, evidence in posteriors]
+    )
     nodes = []
     for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
         points, shaped, posteriors, weighed, strict=True
@@ -118,47 +124,49 @@ def all_shapes(
     return nodes
 
 
-def centre_estimates(exact: EvidenceCalculator, effect: CandidateEffect, base: Model) -> tuple[Estimate, ...]:
+def centre_estimates(
+    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model
+) -> tuple[ParameterEstimate, ...]:
     """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
 
     Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; an
-    undetermined coordinate has the standard deviation of the step times `FLAT`.
+    undetermined coordinate has the standard deviation of the step times `UNBOUNDED_STEP_FACTOR`.
     """
     centre = np.array(effect.source_position)
     if not len(centre):
         return ()
     k = len(centre)
-    steps = STEP * np.eye(k)
+    steps = PLACE_DIFFERENCE_STEP * np.eye(k)
     moves = [np.zeros(k), *steps, *-steps]
     pairs = list(combinations(range(k), 2))
     moves += [steps[i] + steps[j] for i, j in pairs] + [steps[i] - steps[j] for i, j in pairs]
     moves += [steps[j] - steps[i] for i, j in pairs] + [-steps[i] - steps[j] for i, j in pairs]
-    logs = exact.evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base)
+    logs = calculator.log_evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model)
     ahead, behind, crossed = logs[1 : k + 1], logs[k + 1 : 2 * k + 1], logs[2 * k + 1 :].reshape(4, -1)
-    hessian = np.diag((2.0 * logs[0] - ahead - behind) / STEP**2)
-    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * STEP**2)
+    hessian = np.diag((2.0 * logs[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
+    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
     for (i, j), value in zip(pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
     strength, turn = np.linalg.eigh(hessian)
-    variance = turn**2 @ (1.0 / np.maximum(strength, 1.0 / (FLAT * STEP) ** 2))
+    variance = turn**2 @ (1.0 / np.maximum(strength, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2))
     return tuple(
-        Estimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
+        ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
         for axis, value, v in zip(effect.hall_axes, centre, variance, strict=True)
     )
 
 
 def shape_posterior(
-    exact: EvidenceCalculator, effect: CandidateEffect, base: Model, estimates: Sequence[Estimate]
-) -> dict[str, Estimate]:
+    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model, estimates: Sequence[ParameterEstimate]
+) -> dict[str, ParameterEstimate]:
     """Posterior means and standard deviations, averaged over a grid of shape constants that is densest at `estimates`.
 
     Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
     for effects without shape constants.
     """
-    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
+    shapes = shape_nodes(calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
     if not shapes:
         return {}
-    weight = shares(np.array([node.log_weight for node in shapes]))
+    weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))
     values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
     mean = weight @ values
@@ -170,7 +178,7 @@ def shape_posterior(
     )
     names = [*(p.name for p in effect.parameters), *shapes[0].constants]
     return {
-        name: Estimate(
+        name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
         )
         for name, m, d in zip(names, mean, sigma, strict=True)

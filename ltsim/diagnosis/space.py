@@ -12,9 +12,9 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Singles
-from ltsim.diagnosis.evidence import times_to_noise
+from ltsim.diagnosis.evidence import noise_level_factor
 from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
-from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
+from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.places import (
     LawPlace,
@@ -38,160 +38,187 @@ from ltsim.physics.laws.regressor_library import (
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
-MOST_PLACES = 400
+MAX_SEPARATE_PLACES = 400
 """Largest number of set-ups, or targets, of a network in which each is a separate place (cost)."""
-GROUPED = range(12, 101)
+GROUPED_TARGET_COUNTS = range(12, 101)
 """Numbers of targets of networks in which groups of targets are places: fewer hardly form a group,
 more cost too much.
 """
-FINE = 4
+MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
 """Smallest number of pointings of a set-up per coefficient for a fine curve; otherwise it is coarse."""
-ROOM = 2
+MIN_POINTINGS_PER_COEFFICIENT = 2
 """Smallest number of pointings per coefficient at the place of a law: the adjustment absorbs about half of them."""
-AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
+PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors of one instrument, and of one set-up."""
-IN_THE_HALL = ("passage", "lever", "passage for a time", "lever for a time", "near")
+REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
 """Kinds of regressors of regions of the hall."""
-ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("target",)}
+RESPONSE_KINDS_BY_REGRESSOR = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {"room": ("target",)}
 """Kinds of responses that such regressors are restricted to: with others the space would be large
 and hardly physical.
 """
-SWINGS = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
+WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
-TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
+JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
-MAX_CACHED = 10_000_000
+MAX_CACHED_COLUMN_ENTRIES = 10_000_000
 """Largest number of entries of the columns of all regressors that stay in memory, 40 MB; computing them anew takes a
 sixth of the time of a scoring.
 """
-Drivers = Mapping[str, Sequence[Regressor]]
+RegressorsByKind = Mapping[str, Sequence[Regressor]]
 
 
-def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
+def law_batches(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
     """Batches of laws of a recording; their priors add up to that of laws outside the catalogue.
 
     Constants of the instruments are included if `ordinary`; a history is compared separately. A constant displacement
     of a target is not included, because its coordinates are estimated.
     """
-    made = _Maker(space)
-    for place, where, drivers in _places(space):
+    made = _LawBatchBuilder(space)
+    for place, where, drivers in _kinds_of_places(space):
         held = () if ordinary or place not in ("everywhere", "instrument") else ("instrument", "circle")
-        made.ask(place, where, drivers, ("target", *held))
-    return made.panels()
+        made.register(place, where, drivers, ("target", *held))
+    return made.law_batches()
 
 
-def _places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], Drivers]]:
+def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
     """Kinds of places, the places, and the regressors that are tried there."""
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
-    stations = tuple(LawPlace((name,), (), rows) for name, rows in rows_by_name(_few(s.station_names), s.station))
-    targets = tuple(LawPlace((), (name,), rows) for name, rows in rows_by_name(_few(s.target_names), s.target))
-    is_grouped = len(s.target_names) in GROUPED
+    stations = tuple(
+        LawPlace((name,), (), rows) for name, rows in rows_by_name(_separate_names(s.station_names), s.station)
+    )
+    targets = tuple(
+        LawPlace((), (name,), rows) for name, rows in rows_by_name(_separate_names(s.target_names), s.target)
+    )
+    is_grouped = len(s.target_names) in GROUPED_TARGET_COUNTS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
     groups = tuple(group_places(s, sets))
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
     general = candidate_regressors(s)
-    there = general if stay > FINE * N_MODES_DEFAULT else candidate_regressors(s, N_MODES_FACTOR)
+    there = (
+        general
+        if stay > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
+        else candidate_regressors(s, N_MODES_FACTOR)
+    )
     swings = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
         ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
-        ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
+        ("set-up", stations, {kind: there[kind] for kind in PER_SETUP_REGRESSOR_KINDS} | {"wave": swings}),
         (
             "instrument",
             instrument_places(s, space.adjustment.recording.instruments),
-            {k: general[k] for k in AT_A_TIME},
+            {k: general[k] for k in PER_SETUP_REGRESSOR_KINDS},
         ),
         ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
         ("group", groups, target_group_regressors(s) if groups else {}),
     ]
 
 
-def _few(names: tuple[str, ...]) -> tuple[str, ...]:
+def _separate_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names that are tried separately; empty for a single one, and for too many."""
-    return names if 1 < len(names) <= MOST_PLACES else ()
+    return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
 
 
-class _Maker:
+class _LawBatchBuilder:
     """Builder of law batches: laws that differ only in their place are scored together."""
 
     def __init__(self, space: ResidualSpace) -> None:
-        self._s = space.sightings
-        self._sigma, self._use = space.sigma, space.used_readings
-        self._carriers: dict[tuple[str, int], list[tuple[Response, Floats]]] = {}
-        self._asked: dict[
+        self._sightings = space.sightings
+        self._sigma, self._is_used = space.sigma, space.used_readings
+        self._responses: dict[tuple[str, int], list[tuple[Response, Floats]]] = {}
+        self._registered: dict[
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]
         ] = {}
-        for carrier, design in response_designs(self._s).values():
-            weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
+        for carrier, design in response_designs(self._sightings).values():
+            weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = scaled_to_noise(carrier, weights)
-            self._carriers.setdefault((carrier.kind, len(carrier.component_names)), []).append(
+            self._responses.setdefault((carrier.kind, len(carrier.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
 
-    def ask(self, place: str, places: tuple[LawPlace, ...], offered: Drivers, held: tuple[str, ...]) -> None:
+    def register(
+        self,
+        place: str,
+        places: tuple[LawPlace, ...],
+        regressors_by_kind: RegressorsByKind,
+        excluded_kinds: tuple[str, ...],
+    ) -> None:
         """Registration of laws at some places, of responses and of their regressors.
 
-        Some kinds are excluded (`held`).
+        Some kinds are excluded (`excluded_kinds`).
         """
-        kinds = AT_TARGETS if place in ("target", "group") else KINDS
-        for (kind, ways), carriers_of_kind in self._carriers.items():
+        kinds = RESPONSE_PRIOR_AT_TARGETS if place in ("target", "group") else RESPONSE_PRIOR
+        for (kind, ways), carriers_of_kind in self._responses.items():
             together = len(carriers_of_kind[0][0].component_units)  # observables of a joint response; 0 for all others
             carriers = sum(
                 len(same)
-                for (other, n), same in self._carriers.items()
+                for (other, n), same in self._responses.items()
                 if other == kind and (n == ways if together else not same[0][0].component_units)
             )
-            for name, drivers in offered.items():
-                if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
+            for name, drivers in regressors_by_kind.items():
+                if (
+                    kind not in kinds
+                    or kind not in RESPONSE_KINDS_BY_REGRESSOR.get(name, (kind,))
+                    or (name == "constant" and kind in excluded_kinds)
+                ):
                     continue
-                if together and (name not in TOGETHER or place in ("target", "group")):
+                if together and (name not in JOINT_REGRESSOR_KINDS or place in ("target", "group")):
                     continue
-                moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
+                moved = [
+                    d
+                    for d in drivers
+                    if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
+                ]
                 depth = OPERATOR_COUNTS[name] + max(together - 1, 0)
-                weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
-                self._share(tuple(c for c, _ in carriers_of_kind if _passes(name, c)), moved, places, weight, ways)
+                weight = PLACE_PRIOR[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
+                self._divide_weight(
+                    tuple(c for c, _ in carriers_of_kind if _changes_with_region(name, c)), moved, places, weight, ways
+                )
 
-    def _share(
+    def _divide_weight(
         self,
-        carriers: tuple[Response, ...],
-        drivers: Sequence[Regressor],
+        responses: tuple[Response, ...],
+        regressors: Sequence[Regressor],
         places: tuple[LawPlace, ...],
         weight: float,
-        ways: int,
+        n_components: int,
     ) -> None:
         """Division of the weight of each response equally among regressors and the places with enough pointings."""
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
-        for driver in drivers if carriers else ():
+        for driver in regressors if responses else ():
             by_shape.setdefault((driver.n_columns, len(driver.coefficient_sigmas)), []).append(driver)
-        fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in by_shape}
+        fit = {
+            k: tuple(p for p in places if len(p.rows) >= MIN_POINTINGS_PER_COEFFICIENT * k[0] * n_components)
+            for k in by_shape
+        }
         count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
         for size, same in by_shape.items():
             if fit[size]:
-                self._asked.setdefault((carriers, tuple(same)), []).append((fit[size], weight / count))
+                self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / count))
 
-    def panels(self) -> list[LawBatch]:
+    def law_batches(self) -> list[LawBatch]:
         """Batches of the registered laws: equal responses and regressors at all their places in one batch."""
-        weights = {c: w for carriers_of_kind in self._carriers.values() for c, w in carriers_of_kind}
+        weights = {c: w for carriers_of_kind in self._responses.values() for c, w in carriers_of_kind}
         whole = sum(
             prior * len(group) * len(carriers) * sum(len(d.coefficient_sigmas) for d in drivers)
-            for (carriers, drivers), wanted in self._asked.items()
+            for (carriers, drivers), wanted in self._registered.items()
             for group, prior in wanted
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
         stacked: dict[tuple[Response, ...], Singles] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
-        for (carriers, drivers), wanted in self._asked.items():
+        for (carriers, drivers), wanted in self._registered.items():
             places = tuple(place for group, _ in wanted for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
-                cells[same] = RowPartition.of(places, len(self._s))
+                cells[same] = RowPartition.from_places(places, len(self._sightings))
             if carriers not in stacked:
                 stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
             key = drivers, carriers[0].kind == "target", same
             if key not in columns:
-                columns[key] = RegressorColumns(drivers, self._s, cells[same].order, moving=key[1])
+                columns[key] = RegressorColumns(drivers, self._sightings, cells[same].order, acts_on_targets=key[1])
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
             batches.append(
                 LawBatch(
@@ -201,27 +228,27 @@ class _Maker:
                     cells[same],
                     stacked[carriers],
                     columns[key],
-                    np.log(PRIOR["law"] * share),
+                    np.log(CAUSE_PRIOR["law"] * share),
                 )
             )
-        entries = sum(shared.entries * len(drivers) for (drivers, _, _), shared in columns.items())
+        entries = sum(shared.n_entries_per_regressor * len(drivers) for (drivers, _, _), shared in columns.items())
         for shared in columns.values():
-            shared.cached = entries <= MAX_CACHED
+            shared.is_cached = entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches
 
 
-def _passes(name: str, carrier: Response) -> bool:
+def _changes_with_region(name: str, response: Response) -> bool:
     """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
     way = name.removesuffix(" for a time")
-    return way not in ("passage", "lever") or ("distance" in carrier.observables) == (way == "passage")
+    return way not in ("passage", "lever") or ("distance" in response.observables) == (way == "passage")
 
 
-def _swings(kind: str, wave: Regressor) -> bool:
+def _is_wave_candidate(kind: str, wave: Regressor) -> bool:
     """True if a wave is a candidate for a kind of response: readings with any covariate, others with the work done."""
-    return kind == "reading" or wave.covariates[0] in SWINGS
+    return kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
 
 
-def scaled_to_noise(carrier: Response, weights: Floats) -> Response:
+def scaled_to_noise(response: Response, weights: Floats) -> Response:
     """Response with a plausible size that at least reaches the noise; `weights` (n, 3, c) belong to its unit."""
-    strength = carrier.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
-    return replace(carrier, plausible_size=carrier.plausible_size * times_to_noise(strength))
+    strength = response.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
+    return replace(response, plausible_size=response.plausible_size * noise_level_factor(strength))

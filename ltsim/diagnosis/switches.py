@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
+from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -21,24 +21,24 @@ from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_reg
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
-MIN_SWITCH_TIMES = {True: 1, False: 2}
+MIN_SWITCH_EDGES = {True: 1, False: 2}
 """Smallest number of edges within set-ups (of times) of laws with and without a region of the hall; a single step
 without a region is an effect of the catalogue, or a form with steps.
 """
-MIN_TARGET_TIMES = 3
+MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of edges of a law of a single target, whose steps are effects of the catalogue."""
-MAX_TOGGLED, EARLY_STOP = 10, 3
-"""Largest number of toggled intervals, and number of additional ones that are tried after the evidence has last
-increased.
-"""
+MAX_TOGGLED_INTERVALS = 10
+"""Largest number of intervals whose state is toggled."""
+N_INTERVALS_AFTER_MAXIMUM = 3
+"""Number of additional intervals that are toggled after the evidence has last increased."""
 
-MIN_SQUARE = 1e-3
+MIN_SWITCHED_MEAN_SQUARE = 1e-3
 """Smallest mean square of a switched regressor, relative to that without the switch: about one pointing in a
 thousand.
 """
 
 
-class Spans(NamedTuple):
+class SpanMoments(NamedTuple):
     """Moments of a law in the spans between edges.
 
     Attributes
@@ -53,7 +53,7 @@ class Spans(NamedTuple):
     square: Floats
 
 
-def number_of_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
+def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
     swing = law.switched_factor
     if swing is None or swing.kind != "wave":
@@ -62,53 +62,59 @@ def number_of_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
 
 def switched_forms(
-    exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model, *, refine: bool = True
+    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model, *, refine: bool = True
 ) -> list[Hypothesis]:
     """Form of a law that is on in some spans of its covariate; empty if that is not possible.
 
     The region of a law is refined before its times unless `refine` is false.
     """
-    sightings = exact.space.sightings
+    sightings = calculator.space.sightings
     edges = law.candidate_switch_times(sightings)
-    if len(edges) < EARLY_STOP:
+    if len(edges) < N_INTERVALS_AFTER_MAXIMUM:
         return []
     if law.depends_on_fixed_region and refine:
-        law = exact.refine_locally([law], base)[0][0]
+        law = calculator.refine_locally([law], base_model)[0][0]
     first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
-    spans = _moments(exact, law, [first, *edges], base)
+    spans = _span_moments(calculator, law, [first, *edges], base_model)
     spread = law.with_switch([first]).size_scales
-    on, value, toggled = _toggled(spans, spread)
+    on, value, toggled = _best_span_states(spans, spread)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
-    if not _acts_for_a_time(law, chosen, sightings):
+    if not _acts_temporarily(law, chosen, sightings):
         return []
-    refined, mean = exact.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base)[0]
+    refined, mean = calculator.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base_model)[
+        0
+    ]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
     form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, catalogue_name(refined))
-    return [form, *_formula_of_the_rest(exact, form, base)]
+    return [form, *_formulas_of_second_factor(calculator, form, base_model)]
 
 
-def _formula_of_the_rest(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
     """Switched law with a short formula in place of the curve in its second factor; empty if it has none."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
-        law.candidate_formulas(exact.space.sightings) if any(f.kind == "smooth" for f in law.regressor.factors) else []
+        law.candidate_formulas(calculator.space.sightings)
+        if any(f.kind == "smooth" for f in law.regressor.factors)
+        else []
     )
     if not formulas:
         return []
-    best = formulas[best_of(exact.evidence(formulas, base))]
-    refined, value = exact.refine_locally([best], base)[0]
+    best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
+    refined, value = calculator.refine_locally([best], base_model)[0]
     prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
 
 
-def _moments(exact: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base: Model) -> Spans:
+def _span_moments(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base_model: Model
+) -> SpanMoments:
     """Moments of a law in the spans from each step to the next."""
-    sightings, count = exact.space.sightings, len(steps)
+    sightings, count = calculator.space.sightings, len(steps)
     x = sightings.quantities[steps[0].covariates[0]]
     after = x[:, None] > [step.constant for step in steps]
-    gram, score = exact.moments([law.in_steps(steps)], base)[0]
+    gram, score = calculator.gram_and_score([law.with_steps(steps)], base_model)[0]
     ways = len(law.response.component_names)
     columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (ways * count))  # steps have an rms of one
     shape = ways, count, len(columns) // count
@@ -118,65 +124,67 @@ def _moments(exact: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regre
     gram = gram.reshape(count, score.shape[1], count, score.shape[1])
     weight = law.columns(sightings)[:, 0] ** 2 if law.depends_on_fixed_region else np.ones(len(x))
     beyond = (weight[:, None] * after).mean(axis=0)
-    gram = _differences(np.moveaxis(_differences(gram), 2, 0))
-    return Spans(np.moveaxis(gram, 0, 2), _differences(score), _differences(beyond))
+    gram = _span_differences(np.moveaxis(_span_differences(gram), 2, 0))
+    return SpanMoments(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
 
 
-def _differences(values: Floats) -> Floats:
+def _span_differences(values: Floats) -> Floats:
     """Values (S, ...) of spans from those of steps (S, ...): each step less the next."""
     return values - np.concatenate([values[1:], np.zeros_like(values[:1])])
 
 
-def _toggled(spans: Spans, spread: Floats) -> tuple[Bools, float, int]:
+def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float, int]:
     """Best states (S,) of the spans, their log evidence less the price, and the number of toggled intervals."""
     count, ways = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
     value, taken, turn = -np.inf, 0, 0
-    while turn < min(taken + EARLY_STOP, MAX_TOGGLED):
+    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_TOGGLED_INTERVALS):
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]
         block = np.zeros((count + 1, ways, count + 1, ways))
         block[1:, :, 1:, :] = within.cumsum(axis=0).cumsum(axis=2)
-        across = _cumulative(np.einsum("s,swtv->twv", state, spans.gram) * sign[:, None, None])
+        across = _cumulative_sums(np.einsum("s,swtv->twv", state, spans.gram) * sign[:, None, None])
         added = block[last, :, last] + block[first, :, first] - block[first, :, last] - block[last, :, first]
         mixed = across[last] - across[first]
         whole = np.einsum("s,swtv,t->wv", state, spans.gram, state)
         grams = whole + added + mixed + np.swapaxes(mixed, 1, 2)
-        scores = _cumulative(sign[:, None] * spans.score)
-        squares = _cumulative(sign * spans.square)
+        scores = _cumulative_sums(sign[:, None] * spans.score)
+        squares = _cumulative_sums(sign * spans.square)
         square = state @ spans.square + squares[last] - squares[first]
-        size = np.sqrt(np.maximum(square, MIN_SQUARE))
+        size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE))
         scored = (state @ spans.score + scores[last] - scores[first]) / size[:, None]
-        values = evidence_with(grams / size[:, None, None] ** 2, scored, np.broadcast_to(spread, scored.shape))
+        values = log_evidence_of_coefficients(
+            grams / size[:, None, None] ** 2, scored, np.broadcast_to(spread, scored.shape)
+        )
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
-        values[square < MIN_SQUARE] = -np.inf
-        state = states[best_of(values)]
+        values[square < MIN_SWITCHED_MEAN_SQUARE] = -np.inf
+        state = states[index_of_best(values)]
         total = float(log_sum_exp(values)) - turn * price
-        if total > value + TIE:
+        if total > value + MAX_EVIDENCE_TIE:
             best, value, taken = state, total, turn
     return best, value, taken
 
 
-def _cumulative(values: Floats) -> Floats:
+def _cumulative_sums(values: Floats) -> Floats:
     """Cumulative sums (S + 1, ...) of values (S, ...), from zero."""
     return np.concatenate([np.zeros_like(values[:1]), values.cumsum(axis=0)])
 
 
-def _acts_for_a_time(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switch with these edges is no single step, and not absorbed by the poses of set-ups."""
-    least = MIN_TARGET_TIMES if len(law.targets) == 1 else MIN_SWITCH_TIMES[law.depends_on_fixed_region]
+    least = MIN_TARGET_SWITCH_EDGES if len(law.targets) == 1 else MIN_SWITCH_EDGES[law.depends_on_fixed_region]
     if edges and edges[0].covariates != ("time",):
-        return len(edges) >= least and _switches_several_targets(law, edges, sightings)
+        return len(edges) >= least and _switches_targets(law, edges, sightings)
     if len(law.targets) == 1:
         return len(edges) >= least
     return sum(_is_within_a_set_up(edge.constant, sightings) for edge in edges) >= least
 
 
-def _switches_several_targets(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+def _switches_targets(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a law is on for several targets, and off for several: otherwise the cause belongs to a single target."""
     on = law.with_switch(edges).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

@@ -24,15 +24,15 @@ def diagnose(
     ----------
     recording : Recording, str or Path
     level : float
-        False-alarm rate of the whole search on a clean recording, 0.001 at least.
+        False-alarm rate of the whole search on a clean recording, at least 0.001.
     seed : int
-        Of the draws that price the search.
+        Root of the random draws of simulated recordings, from which the p-value of the search follows.
     history : Calibration, History, str or Path, optional
-        An earlier calibration of the instruments, or the history of one, or the file of either. A constant that
-        differs from it by more than its usual spread and both uncertainties is a finding.
+        Earlier calibration of the instruments, or the history of an instrument, or the file of either. A constant that
+        differs from it by more than its usual spread and both uncertainties is reported.
     held_out : bool, optional
-        Prove what is found: the whole search is repeated without each of five folds of pointings, which are then
-        predicted. It takes five more searches; with None only small networks are given them.
+        True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, which is then
+        predicted. This takes five more searches; with None it is done in small networks only.
 
     Raises
     ------

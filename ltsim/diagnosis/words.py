@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.core.notation import listing, with_sigma
-from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, Where
+from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, find_effect, title_of
 
-MOST_NAMED = 4
+MAX_LISTED_ESTIMATES = 4
 """Largest number of estimates in a sentence."""
-LIKELY = 0.5
+MIN_PROBABLE = 0.5
 """A name, or an effect, is reported as probable from this probability on: the more probable of two."""
-COVARIATES = {
+COVARIATE_TEXTS = {
     "approach": "the move before the pointing",
     "place": "the place in the room",
     "incidence": "the direction from which the reflector is seen",
@@ -20,95 +20,105 @@ COVARIATES = {
 """Texts of covariates in sentences."""
 
 
-def estimates(parameters: Sequence[Estimate]) -> str:
+def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
     """Phrase with the most significant estimates; those within one sigma are left to the tables."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
-    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
+    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ESTIMATES]
     chosen = [p for p in parameters if p in largest]
-    return ", ".join(_estimate(p) for p in chosen)
+    return ", ".join(_estimate_text(p) for p in chosen)
 
 
-def effect_words(name: str) -> str:
+def effect_text(name: str) -> str:
     """Title of the effect of a finding within a sentence."""
     return "physics outside the catalogue" if name == "unknown" else title_of(name)
 
 
-def parameter_words(name: str) -> str:
+def parameter_text(name: str) -> str:
     """Text of a parameter's name in a sentence."""
     words = name.replace("_", " ").replace("-", " ").split()
     return " ".join({"cos": "cosine", "sin": "sine"}.get(word, word) for word in words)
 
 
-def _estimate(parameter: Estimate) -> str:
+def _estimate_text(parameter: ParameterEstimate) -> str:
     """Text of an estimate; for an added variance the factor on the declared standard deviation."""
     name, value, sigma = parameter.name, parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
         return f"{name[6:]}s scatter {with_sigma(factor, 0.5 * sigma / max(factor, 0.1))} times as much as declared"
-    return f"{parameter_words(name)} {with_sigma(value, sigma)} {parameter.unit}".strip()
+    return f"{parameter_text(name)} {with_sigma(value, sigma)} {parameter.unit}".strip()
 
 
-def place(where: Where) -> str:
+def place_text(scope: FindingScope) -> str:
     """Text of a place."""
-    kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
+    kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
     parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
-    if where.observables:
-        parts.append(f"in {listing(where.observables)}")
+    if scope.observables:
+        parts.append(f"in {listing(scope.observables)}")
     return " ".join(parts) or "in the whole recording"
 
 
-def percent(probability: float) -> str:
+def percent_text(probability: float) -> str:
     """Text of a probability in percent."""
     return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
 def catalogue_sentence(
-    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, p_located: float | None = None
+    effect: str,
+    scope: FindingScope,
+    parameters: Sequence[ParameterEstimate],
+    probability: float,
+    *,
+    p_located: float | None = None,
 ) -> str:
     """Sentence on an effect of the catalogue: its size and place, its usual cause, both probabilities."""
     card = catalogue_entry(find_effect(effect))
-    at = place(where).removeprefix("at ").removeprefix("in the ")
-    title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
-    sizes = estimates(parameters)
-    if max(probability, p_located or 0.0) < LIKELY:
-        perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent(probability)}"
+    at = place_text(scope).removeprefix("at ").removeprefix("in the ")
+    title = card.title if probability >= MIN_PROBABLE else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
+    sizes = estimates_phrase(parameters)
+    if max(probability, p_located or 0.0) < MIN_PROBABLE:
+        perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent_text(probability)}"
         return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
-    here = place(where.model_copy(update={"observables": ()}))
-    located = "" if p_located is None else f"An effect like this {here}: {percent(p_located)}. "
-    cause = f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent(probability)} ({card.cause_description})"
+    here = place_text(scope.model_copy(update={"observables": ()}))
+    located = "" if p_located is None else f"An effect like this {here}: {percent_text(p_located)}. "
+    cause = (
+        f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent_text(probability)} ({card.cause_description})"
+    )
     return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}."
 
 
-def law_sentence(where: Where, parameters: Sequence[Estimate], p_located: float, law: str) -> str:
+def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law: str) -> str:
     """Sentence on a law outside the catalogue: response, regressor, place, size, probability."""
-    sizes = estimates(parameters)
+    sizes = estimates_phrase(parameters)
     size = f" ({sizes})" if sizes else ""
-    at = _at(where.model_copy(update={"observables": ()}))
+    at = _place_suffix(scope.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
-    if p_located < LIKELY:
-        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(p_located)})"
-        return f"Physics outside the catalogue{_at(where)}, of a form that the readings do not determine: {likeliest}."
-    sure = f"probability that it follows this {percent(p_located)}"
+    if p_located < MIN_PROBABLE:
+        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent_text(p_located)})"
+        form = f"of a form that the readings do not determine: {likeliest}"
+        return f"Physics outside the catalogue{_place_suffix(scope)}, {form}."
+    sure = f"probability that it follows this {percent_text(p_located)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
-def outside_sentence(where: Where, law: str) -> str:
+def unknown_effect_sentence(scope: FindingScope, law: str) -> str:
     """Sentence on an effect outside the catalogue: place, covariates, law."""
-    on = f", depending on {listing([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
-    return f"Physics outside the catalogue{_at(where)}{on}; best law: {law}."
+    on = f", depending on {listing([COVARIATE_TEXTS.get(c, c) for c in scope.covariates])}" if scope.covariates else ""
+    return f"Physics outside the catalogue{_place_suffix(scope)}{on}; best law: {law}."
 
 
-def _at(where: Where) -> str:
+def _place_suffix(scope: FindingScope) -> str:
     """Text of the place with a leading blank; empty for the whole recording."""
-    confined = where.stations or where.targets or where.observables or where.instruments
-    return f" {place(where)}" if confined else ""
+    confined = scope.stations or scope.targets or scope.observables or scope.instruments
+    return f" {place_text(scope)}" if confined else ""
 
 
-CLEAR, MOST_CONSTANTS = 5.0, 5
-"""A constant is listed in the answer if it exceeds this many standard deviations; largest number of them."""
+MIN_CLEAR_SIGMAS = 5.0
+"""Number of standard deviations from which a constant is listed in the answer."""
+MAX_LISTED_CONSTANTS = 5
+"""Largest number of constants in the answer."""
 
 
-def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
+def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Best-determined constants as text, the most significant first.
 
     A combination is named by its first member: the vertical index, for example, is effective over the elevations used.
@@ -124,57 +134,67 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
             entries.append((name, used, combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
         for name, used, value, sigma, unit in entries:
-            plain = f"{parameter_words(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
+            plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > CLEAR][:MOST_CONSTANTS]
+    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_LISTED_CONSTANTS]
 
 
-WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
+UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
 """Units that replace those of time if a recording has no clock and rows represent seconds."""
 
 
-def without_clock(parameter: Estimate) -> Estimate:
+def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
     """Estimate for a recording without clock, in rows in place of time."""
     per, _, rate = parameter.unit.partition("/")
-    if rate in WITHOUT_CLOCK:
-        factor, unit = 1.0 / WITHOUT_CLOCK[rate][1], f"{per}/row"
-    elif parameter.unit in WITHOUT_CLOCK:
-        unit, factor = WITHOUT_CLOCK[parameter.unit]
+    if rate in UNITS_WITHOUT_CLOCK:
+        factor, unit = 1.0 / UNITS_WITHOUT_CLOCK[rate][1], f"{per}/row"
+    elif parameter.unit in UNITS_WITHOUT_CLOCK:
+        unit, factor = UNITS_WITHOUT_CLOCK[parameter.unit]
     else:
         return parameter
     value, sigma = factor * parameter.value, factor * parameter.sigma
-    return Estimate(name=parameter.name, value=value, sigma=sigma, unit=unit)
+    return ParameterEstimate(name=parameter.name, value=value, sigma=sigma, unit=unit)
 
 
-def summarise(
-    verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, withheld: int = 0
+def diagnosis_summary(
+    verdict: str,
+    findings: Sequence[Finding],
+    p_value: float,
+    misfit_before: Misfit,
+    misfit_after: Misfit,
+    *,
+    withheld: int = 0,
 ) -> str:
     """Summary of a diagnosis in a few sentences; `withheld` is the number of members that are not reported."""
     if verdict == "consistent":
         return (
-            f"The recording agrees with the model and the declared noise (chi-square {before.chi2:.0f} for "
-            f"{before.dof} degrees of freedom; probability of such a finding in a recording "
+            f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "
+            f"{misfit_before.dof} degrees of freedom; probability of such a finding in a recording "
             f"without errors: {100 * p_value:.0f} %)."
         )
     if not findings:
         return (
             "The recording does not agree with the model and the declared noise, but no cause is probable; "
-            f"chi-square {before.chi2:.0f} for {before.dof} degrees of freedom."
+            f"chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom."
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = [effect_words(e.effect) for e in first.equivalents]
+    others = [effect_text(e.effect) for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
     further = "1 further effect is" if withheld == 1 else f"{withheld} further effects are"
     rest = f" {further} in the model but not reported (small or uncertain)." if withheld else ""
-    return first.sentence + open_ + more + rest + _course(before.held_out_rms, after.held_out_rms)
+    return (
+        first.sentence + open_ + more + rest + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
+    )
 
 
-def _course(before: float | None, after: float | None) -> str:
+def _held_out_sentence(error_before: float | None, error_after: float | None) -> str:
     """Sentence on the change of the prediction error on held-out readings; empty without a change."""
-    if before is None or after is None or before == after:
+    if error_before is None or error_after is None or error_before == error_after:
         return ""
-    was, now = f"{before:.2f}", f"{after:.2f}"
-    course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    was, now = f"{error_before:.2f}", f"{error_after:.2f}"
+    course = (
+        f"{'falls' if error_after < error_before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    )
     return f" On held-out readings the prediction error {course} times the noise."

@@ -11,15 +11,14 @@ from ltsim.core.errors import NetworkError
 MAX_ROBUST_PASSES = 8
 """Largest number of reweightings of a robust alignment."""
 MAX_NOISE_DISTANCE_RATIO = 8.0
-"""Ratio of the largest to the median distance between aligned points below which reweighting ends: such distances are
-noise.
-"""
+"""Ratio of the largest to the median distance between aligned points below which reweighting ends: all distances are
+then noise."""
 MAX_SOUND_MISFIT_M = 1e-4
 """Mean distance [m] after a least-squares alignment up to which no point is an outlier that matters
 for start values.
 """
 MAX_POINTS_FOR_ALL_TRIPLES = 6
-"""Number of points up to which every triple is tried."""
+"""Number of points up to which every triple of them is evaluated."""
 MAX_TRIPLES = 30
 """Number of triples for more points. Of 30 triples at least one has no outlier with 98 % probability if half of the
 points are outliers, and with 99.999 % if a third are."""

@@ -18,13 +18,13 @@ def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def remove_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floats | None = None) -> Floats:
     """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
 
-    If `free` (6, f) is given, only motions in the span of its columns are removed.
+    If `free_motions` (6, f) is given, only motions in the span of its columns are removed.
     """
     motion = rigid_motion_design(points)
-    basis = np.linalg.qr(motion if free is None else motion @ free)[0]
+    basis = np.linalg.qr(motion if free_motions is None else motion @ free_motions)[0]
     return displacement - basis @ (basis.T @ displacement)
 
 
@@ -36,7 +36,7 @@ def pose_design(target_derivatives: Floats, sight_vectors: Floats) -> Floats:
     target_derivatives : (n, 3, 3) float
         Derivative of the readings with respect to the target's coordinates.
     sight_vectors : (n, 3) float, [m]
-        From the station to the target.
+        Vectors from the station to the targets.
     """
     return np.concatenate([-target_derivatives, target_derivatives @ cross_matrix(sight_vectors)], axis=2)
 
@@ -44,19 +44,19 @@ def pose_design(target_derivatives: Floats, sight_vectors: Floats) -> Floats:
 def determines_pose(
     points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = MAX_COLLINEAR_RATIO
 ) -> Bools:
-    """Flags (...): the targets that a station sees determine its pose (six parameters), by their geometry alone.
+    """Flags (...): the geometry of the targets that a station measures determines its pose (six parameters).
 
     Three targets that are not collinear are sufficient; a levelled station needs two that are not on one vertical.
 
     Parameters
     ----------
     points : (T, 3) float, [m]
-    seen : (..., T) bool
-        Targets that each station measures whole.
+    sighted : (..., T) bool
+        Targets that each station measures with range and both angles.
     vertical : (..., 3) float, optional
-        Unit vector of the plumb line that a level holds at each station, NaN without a level.
+        Unit vector of the plumb line that a level defines at each station, NaN without a level.
     flat : float
-        Share of their extent by which targets on a line may be off it.
+        Distance from a line, as a fraction of their extent, up to which targets count as collinear.
     """
     count = np.maximum(sighted.sum(axis=-1), 1)
     centre = (sighted @ points) / count[..., None]

@@ -36,7 +36,7 @@ DISPLACEMENTS_TABLE = Table(
         *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
     ),
 )
-MAX_LISTED_POINTS = 6
+MAX_POINTS_IN_RESULT_TEXT = 6
 """Largest number of points that a sentence lists."""
 ELLIPSOID_COVERAGE = 0.95
 """Coverage probability of the error ellipsoids."""
@@ -113,7 +113,7 @@ class Comparison(ResultFile):
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"displacements": lambda: DISPLACEMENTS_TABLE.filled(d.row for d in self.displacements)}
+        return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.row for d in self.displacements)}
 
     @property
     def moved_points(self) -> tuple[str, ...]:
@@ -229,7 +229,10 @@ def congruence_test(
 
 
 def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: float) -> list[int]:
-    """Indices of points that moved: significant ones are added, then each is tested again with the others."""
+    """Indices of the points that moved. Significant points are added one by one.
+
+    After each addition all are tested again given the others.
+    """
     moved: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), level / max(len(tested_mask), 1))
     most = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
@@ -249,10 +252,10 @@ def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: fl
 
 
 def _displacement_of_point(
-    difference: EpochDifference, point: int, moved_points: list[int], tested: int, level: float
+    difference: EpochDifference, point: int, moved_points: list[int], n_tested: int, level: float
 ) -> Displacement:
-    """Displacement of one point in the frame of the stable points, and its test with the others in the model."""
-    count, a = max(tested, 1), len(difference.compared_axes)
+    """Displacement of a point in the frame of the stable points, and its test given the other displacements."""
+    count, a = max(n_tested, 1), len(difference.compared_axes)
     others = [p for p in moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
     drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
@@ -285,5 +288,5 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_LISTED_POINTS)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_POINTS_IN_RESULT_TEXT)
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

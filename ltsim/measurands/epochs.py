@@ -23,7 +23,7 @@ from ltsim.core.notation import listing
 from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.measurands.comparison import (
-    MAX_LISTED_POINTS,
+    MAX_POINTS_IN_RESULT_TEXT,
     Comparison,
     EpochDifference,
     congruence_test,
@@ -61,7 +61,7 @@ def compare_adjustments(
     """
     lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    stable_points = _stable_point_mask("recordings", common, stable, held=3)
+    stable_points = _stable_point_mask("recordings", common, stable, n_held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _common_observations(first, second, same_instrument)
     before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), at, strict=True))
@@ -90,7 +90,7 @@ def compare_coordinates(
     common = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if free else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = scaled or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask("lists", common, stable, held=len(first.axes) if is_open else 0)
+    stable_points = _stable_point_mask("lists", common, stable, n_held=len(first.axes) if is_open else 0)
     before, after = (
         _Epoch.from_coordinates(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
     )
@@ -118,7 +118,7 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     }
     if not changed:
         return epoch, []
-    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()], MAX_LISTED_POINTS)
+    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()], MAX_POINTS_IN_RESULT_TEXT)
     note = f"names that differ only in case, blanks or leading zeros are the same point: {pairs}"
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
@@ -134,7 +134,7 @@ def _with_rigid_motion(result: Comparison, compare_freely: Callable[[], Comparis
     free = compare_freely()
     if 2 * len(free.moved_points) > count:
         return result
-    rest = f": {listing(list(free.moved_points), MAX_LISTED_POINTS)}" if free.moved_points else ""
+    rest = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
         f"{len(free.moved_points)} of {count} points moved{rest}"
@@ -147,7 +147,7 @@ def _compare_epochs(
     second: _Epoch,
     scaled: bool,
     stable: Bools,
-    held: Bools,
+    held_points: Bools,
     level: float,
     sources: tuple[SourceEntry, SourceEntry],
     axes: Ints = ALL_AXES,
@@ -155,27 +155,27 @@ def _compare_epochs(
 ) -> Comparison:
     """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
     gap = _align_epochs(first, second, scaled, stable, axes)
-    result = congruence_test(gap, held, level, sources)
+    result = congruence_test(gap, held_points, level, sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
+            _align_epochs(first, second.with_order(order, len(axes)), scaled, stable, axes), held_points, level, sources
         )
         notes = [*notes, exchanged_names_sentence(first.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
-def _stable_point_mask(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
-    """Flags (T,) of the common points that may define the frame (at least `held`): all, or the declared stable ones."""
+def _stable_point_mask(kind: str, common_names: Sequence[str], stable: Sequence[str] | None, *, n_held: int) -> Bools:
+    """Flags (T,) of the common points that may define the frame: all or the declared stable ones, at least `n_held`."""
     for name in stable or ():
-        if name not in common:
-            raise unknown_name("common point", name, common)
-    if len(common) < held + 1:
-        needed = f"at least {held + 1} are needed to see one of them move"
-        raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
-    if stable is not None and len(stable) < held:
-        raise ModelError(f"{len(stable)} stable points do not define a frame; name at least {held}")
-    return np.array([stable is None or name in stable for name in common])
+        if name not in common_names:
+            raise unknown_name("common point", name, common_names)
+    if len(common_names) < n_held + 1:
+        needed = f"at least {n_held + 1} are needed to see one of them move"
+        raise NetworkError(f"the {kind} share {len(common_names)} points; {needed}")
+    if stable is not None and len(stable) < n_held:
+        raise ModelError(f"{len(stable)} stable points do not define a frame; name at least {n_held}")
+    return np.array([stable is None or name in stable for name in common_names])
 
 
 @dataclass(frozen=True)
@@ -193,27 +193,35 @@ class _Epoch:
     free_motions: Floats
 
     @classmethod
-    def from_adjustment(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
-        columns = adjustment.problem.unknowns.target_columns[at].reshape(1, -1)
+    def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, common_names: Sequence[str]) -> Self:
+        columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_row(adjustment, columns[0])
         groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
-        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
-        names = [adjustment.recording.targets[i] for i in at]
+        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common_names if name in groups)]
+        names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
         return cls(
-            names, adjustment.state.target_points[at], covariance, np.hstack(given), adjustment.problem.free_motions
+            names,
+            adjustment.state.target_points[target_indices],
+            covariance,
+            np.hstack(given),
+            adjustment.problem.free_motions,
         )
 
     @classmethod
-    def from_coordinates(cls, coordinates: EpochCoordinates, common: Sequence[str], free: Floats) -> Self:
+    def from_coordinates(cls, coordinates: EpochCoordinates, common_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates with free motions `free_motions` (6, f)."""
-        at = np.array([coordinates.names.index(name) for name in common])
+        at = np.array([coordinates.names.index(name) for name in common_names])
         rows = coordinate_rows(at, len(coordinates.axes))
         return cls(
-            common, coordinates.points[at], coordinates.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free
+            common_names,
+            coordinates.points[at],
+            coordinates.covariance[np.ix_(rows, rows)],
+            np.zeros((len(rows), 0)),
+            free_motions,
         )
 
-    def reordered(self, order: Ints, axes: int) -> Self:
+    def with_order(self, order: Ints, axes: int) -> Self:
         """Epoch in which point i has the position of point `order[i]`."""
         rows = coordinate_rows(order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
@@ -289,10 +297,10 @@ def _align_epochs(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, ax
     )
 
 
-def _motions_about(free: Floats, centre: Floats) -> Floats:
+def _motions_about(free_motions: Floats, centre: Floats) -> Floats:
     """Motions (6, f) with rotations about a centre in place of the origin."""
-    about = free.copy()
-    about[:3] += np.cross(free[3:].T, centre).T
+    about = free_motions.copy()
+    about[:3] += np.cross(free_motions[3:].T, centre).T
     return about
 
 
@@ -301,9 +309,8 @@ MAX_RELATIVE_EIGENVALUE = 1e-7
 round to 1e-9.
 """
 MAX_EXCHANGE_DISTANCE = 0.1
-"""Largest distance, relative to the distance of two points, from each other's position at which their names count as
-exchanged.
-"""
+"""Largest distance of each of two points from the other's earlier position at which their names count as exchanged,
+relative to the distance between the points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
 
@@ -338,19 +345,19 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     return free_motions
 
 
-def exchanged_names(difference: EpochDifference, moved: Sequence[int]) -> Ints | None:
+def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
     """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
-    Each of the `moved` points is at the first-epoch position of another one, far from its own.
+    Each of the `moved_points` points is at the first-epoch position of another one, far from its own.
     """
-    if len(moved) < 2:
+    if len(moved_points) < 2:
         return None
-    before = difference.first_epoch_points[moved][:, difference.compared_axes]
-    after = before + difference.differences.reshape(difference.n_points, -1)[moved]
+    before = difference.first_epoch_points[moved_points][:, difference.compared_axes]
+    after = before + difference.differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
-    taken = (nearest != np.arange(len(moved))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE * distance)
-    places = {moved[i]: moved[nearest[i]] for i in np.flatnonzero(taken).tolist()}
+    taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE * distance)
+    places = {moved_points[i]: moved_points[nearest[i]] for i in np.flatnonzero(taken).tolist()}
     if not places or set(places) != set(places.values()):
         return None
     order = np.arange(difference.n_points)
@@ -366,7 +373,7 @@ def exchanged_names_sentence(names: Sequence[str], order: Ints) -> str:
 
 
 def undetermined_motions_note(count: int) -> str:
-    """Note that `count` motions of the whole network are undetermined, and what was done."""
+    """Note on the undetermined motions of the whole network, their number `count`, and how they were fixed."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
         "with the first along them"

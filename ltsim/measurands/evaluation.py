@@ -33,9 +33,8 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MIN_HIDDEN_FRACTION = 0.2
-"""Smallest share of the standard uncertainty from which an error without effect on the readings is reported: it would
-add 2 % to the uncertainty.
-"""
+"""Smallest fraction of the standard uncertainty from which an error without effect on the readings is reported: it
+would add 2 % to the uncertainty."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,9 +16,9 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
 
-MAX_FIT_STEPS = 60
+MAX_FEATURE_FIT_STEPS = 60
 """Largest number of Gauss-Newton steps of a fit."""
-STEP_TOLERANCE = 1e-11
+FEATURE_STEP_TOLERANCE = 1e-11
 """Largest step, relative to the extent of the points, at which an iteration has converged."""
 N_INITIAL_AXES = 60
 """Number of initial axes of a cylinder, distributed over a half sphere."""
@@ -95,13 +95,13 @@ def _feature_without_radius(normal: Floats, deviations: Floats) -> FittedFeature
 
 def _fit_sphere(local: Floats, _near: FittedFeature | None) -> FittedFeature:
     centre, radius = _algebraic_fit(local)
-    for _ in range(MAX_FIT_STEPS):
+    for _ in range(MAX_FEATURE_FIT_STEPS):
         arm = local - centre[..., None, :]
         length = np.linalg.norm(arm, axis=-1)
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
         step = _least_squares_step(design, length - radius[..., None], "sphere")
         centre, radius = centre + step[..., :3], radius + step[..., 3]
-        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < FEATURE_STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
     return FittedFeature(centre, np.full_like(centre, np.nan), radius, deviations)
@@ -110,7 +110,7 @@ def _fit_sphere(local: Floats, _near: FittedFeature | None) -> FittedFeature:
 def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
     normal = _fit_plane(local, None).direction
     centre, radius = _projected_circle(local, normal)
-    for _ in range(MAX_FIT_STEPS):
+    for _ in range(MAX_FEATURE_FIT_STEPS):
         (first, second), height, x, y = _axis_coordinates(local, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
@@ -123,17 +123,19 @@ def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
         shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
         centre, radius = centre + shift, radius + step[..., 5]
         normal = _unit_vectors(normal + step[..., 3:4] * first + step[..., 4:5] * second)
-        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < FEATURE_STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     _, height, x, y = _axis_coordinates(local, centre, normal)
     radial = np.hypot(x, y) - radius[..., None]
     return FittedFeature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
-def _fit_cylinder(local: Floats, near: FittedFeature | None) -> FittedFeature:
+def _fit_cylinder(local: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
     """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
-    if near is not None:
-        return _refine_cylinder(local, near.direction, near.reference_point, near.radius)
+    if initial_feature is not None:
+        return _refine_cylinder(
+            local, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
+        )
     features = []
     for points in local.reshape(-1, *local.shape[-2:]):
         axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_AXES)])
@@ -156,7 +158,7 @@ def _fit_cylinder(local: Floats, near: FittedFeature | None) -> FittedFeature:
 def _refine_cylinder(
     local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True
 ) -> FittedFeature:
-    for _ in range(MAX_FIT_STEPS):
+    for _ in range(MAX_FEATURE_FIT_STEPS):
         (first, second), along, x, y = _axis_coordinates(local, centre, normal)
         reach = np.maximum(np.hypot(x, y), 1e-300)
         c, s = x / reach, y / reach
@@ -167,7 +169,7 @@ def _refine_cylinder(
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
         normal = _unit_vectors(normal + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
-        if np.nanmax(size, initial=0.0) < STEP_TOLERANCE:
+        if np.nanmax(size, initial=0.0) < FEATURE_STEP_TOLERANCE:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
     return FittedFeature(

@@ -239,7 +239,7 @@ def air_sources(adjustment: Adjustment, point_response: Floats, air: AirUncertai
 
 
 def _reduce_variates(response: Floats) -> Floats:
-    """Response with the same covariance and at most as many variates as coordinates."""
+    """Response with the same covariance, and with at most as many variates as coordinates."""
     if response.shape[1] <= response.shape[0]:
         return response
     return np.asarray(np.linalg.qr(response.T, mode="r")).T

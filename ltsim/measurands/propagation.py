@@ -28,7 +28,7 @@ from ltsim.recordings.coordinates import EpochCoordinates
 N_CURVATURE_CHECKS = 8
 """Number of random errors with which the curvature is examined."""
 MAX_CURVATURE_RATIO = 0.05
-"""Difference between the exact and the linear adjustment, in standard uncertainties, from which it is reported."""
+"""Difference between the exact and the linear adjustment, in standard uncertainties, from which a warning is given."""
 
 
 def part_expansion(growth: PartExpansion | None) -> ThermalExpansion:

@@ -81,7 +81,7 @@ class Task(TomlSection):
     """Tolerance limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_targets(self) -> Self:
         wanted = N_TARGETS_BY_KIND.get(self.kind)
         if wanted is not None and len(self.targets) != wanted:
             raise ValueError(f"it should name {wanted} targets for a {self.kind}")
@@ -111,7 +111,8 @@ class TypeB(TomlSection):
     sizes: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviation or half-width by parameter, in units of display."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """Scope of one draw: all pointings, or those of a station, an instrument or a target, or a single pointing."""
+    """Scope of one random draw: all pointings, the pointings of a station, an instrument or a target, or a single
+    pointing."""
     stations: tuple[str, ...] = ()
     """Names of the stations where it acts; empty for all."""
     targets: tuple[str, ...] = ()

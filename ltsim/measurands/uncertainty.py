@@ -8,7 +8,7 @@ from pydantic import Field
 from scipy import special
 
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import expanded
+from ltsim.core.notation import with_expanded_uncertainty
 from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.measurands.spec import Decision, ToleranceLimits
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
@@ -162,7 +162,7 @@ class TaskResult(Entry):
     @property
     def text(self) -> str:
         """Text of the result with its expanded uncertainty."""
-        figures = expanded(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
+        figures = with_expanded_uncertainty(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
         return f"{self.task}, {self.name}: {figures}"
 
     @property
@@ -222,16 +222,16 @@ class Uncertainty(ResultFile):
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
         ]
         return {
-            "results": lambda: RESULTS_TABLE.filled(r.table_row for r in self.results),
-            "budget": lambda: BUDGET_TABLE.filled(rows),
+            "results": lambda: RESULTS_TABLE.with_rows(r.table_row for r in self.results),
+            "budget": lambda: BUDGET_TABLE.with_rows(rows),
             "conformity": self._conformity_table,
-            "hidden": lambda: HIDDEN_ERRORS_TABLE.filled(
+            "hidden": lambda: HIDDEN_ERRORS_TABLE.with_rows(
                 [r.task, r.name, part.source, part.change, r.unit] for r in self.results for part in r.hidden
             ),
         }
 
     def _conformity_table(self) -> Table:
-        return CONFORMITY_TABLE.filled(
+        return CONFORMITY_TABLE.with_rows(
             [r.task, r.name, c.lower, c.upper, c.guard_band, r.unit, 100 * c.probability, c.judgement]
             for r in self.results
             if (c := r.conformity)

@@ -28,13 +28,13 @@ def uncertainty(
 
     Parameters
     ----------
-    recording : Recording, Coordinates, str or Path
-        A recording, or a list of coordinates with their joint covariance, such as the `targets.csv` of `adjust` with
+    recording : Recording, EpochCoordinates, str or Path
+        Recording, or list of coordinates with their joint covariance, such as `targets.csv` of `adjust` with
         `targets.covariance.csv` in its folder.
     tasks : str, Path, mapping or Tasks
-        A task file, or its tables (``task``, ``type_b``, ...); `format` and `source` may be left out of tables.
+        Task file, or its tables (``task``, ``type_b``, ...); tables need no `format` and `source`.
     seed : int, optional
-        Root of all draws; default as the file says.
+        Root of all random draws; default from the task file.
 
     Raises
     ------
@@ -82,23 +82,23 @@ def compare(
 
     Parameters
     ----------
-    first, second : Recording, Coordinates, str or Path
+    first, second : Recording, EpochCoordinates, str or Path
         Two recordings, or two lists of coordinates with their covariance (`ltsim.recordings.coordinates`).
     stable : str or sequence of str, optional
-        Points known not to have moved; they are not tested. Default: found by the test.
+        Points that have certainly not moved; they are not tested. Default: determined by the test.
     free : bool
-        Of lists alone: their frames differ, the second may move as a whole.
+        True if the frames of two lists differ, so that the second may move as a whole; for lists of coordinates only.
     scaled : bool
-        Let the second recording have a scale of its own: another temperature, another instrument.
+        True if the second recording may have a different scale, because of another temperature or another instrument.
     same_instrument : bool
-        One tracker with the same errors measured both: what its maker's guarantee leaves open then shifts both epochs
-        alike and does not count as a difference.
+        True if one tracker with unchanged errors measured both recordings. Undetermined errors of the instrument then
+        shift both epochs equally and do not count as a difference.
     calibrate : bool
-        Estimate the instrument's constants in each recording.
+        True to estimate the instrument's constants in each recording.
     robust : bool
-        Leave out readings that do not belong, each tested again at the end.
+        True to exclude outlying readings; each is tested again at the end.
     level : float
-        Probability that any point is told to have moved when none did.
+        Probability that any point is reported as moved if none moved.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def compare(
     if free:
         raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
-    def adjusted(recording: Recording) -> Adjustment:
+    def adjust_epoch(recording: Recording) -> Adjustment:
         adjustment = adjust(
             recording, declared_construction(recording) if calibrate else ideal_construction(), robust=robust
         )
@@ -136,7 +136,7 @@ def compare(
         return adjustment
 
     epochs = [
-        adjusted(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
+        adjust_epoch(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
     ]
     return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
 

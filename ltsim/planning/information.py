@@ -98,7 +98,7 @@ class LayoutInformation:
     @cached_property
     def _inner_datum_adjustment(self) -> Adjustment:
         """Adjustment with inner constraints over all targets."""
-        return self.adjustment.in_inner_datum()
+        return self.adjustment.with_inner_datum()
 
     @property
     def pose_covariance(self) -> Floats:
@@ -210,7 +210,7 @@ class CriteriaPredictor:
 
 
 def _mean_length(square: Floats, spread: Floats) -> Floats:
-    """Mean over rows of the expected length (k,), computed for a few requests at a time."""
+    """Mean over rows of the expected length (k,), computed in batches."""
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
         for part in np.array_split(square, max(1, len(square) // 64))
@@ -250,7 +250,7 @@ def _displacements_by_error(
     extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
     mean = _averaging_matrix(information)
-    _, by_reading, by_value = construction.linearised(sightings.raw_readings, np.zeros(construction.n_parameters))
+    _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])

@@ -49,7 +49,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
 
 
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """Scenario whose CAD files are in its own folder, and the contents of these files by name; raises SetupError."""
+    """Scenario with CAD files in its own folder, and the contents of these files by name; raises SetupError."""
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}
     for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):

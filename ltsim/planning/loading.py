@@ -170,7 +170,7 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
 def _point_from_table(table: PointList, i: int, path: Path) -> PointEntry:
     where: dict[str, Any] = {"file": path, "row": table.line_numbers[i]}
 
-    def further(column: str, usual: float | None) -> float | None:
+    def optional_number(column: str, usual: float | None) -> float | None:
         text = table.additional_columns[column][i] if column in table.additional_columns else ""
         if not text:
             return usual
@@ -184,7 +184,7 @@ def _point_from_table(table: PointList, i: int, path: Path) -> PointEntry:
     if missing:
         raise RecordError("found nothing, expected a number", column=missing, **where)
     group = table.additional_columns["group"][i] if "group" in table.additional_columns else ""
-    rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
+    rest = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:
         return PointEntry.model_validate({"name": table.names[i], "group": group, **place, **rest})
     except ValidationError as problem:

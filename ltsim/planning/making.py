@@ -209,7 +209,7 @@ class _PlanSearch:
     def _closest_layout(
         self, layouts: list[tuple[float, int, PlannedSurvey]], demands: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """Layout, among those of several starts, that comes closest to the tolerances."""
+        """Layout that comes closest to the tolerances, among the layouts of several starts."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -267,7 +267,10 @@ class _PlanSearch:
 
 
 def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
-    """Text of the points that neither any layout on the grid nor the present one sees; empty for none."""
+    """Text of the points that are visible neither from any layout on the grid nor from the present layout.
+
+    Empty for none.
+    """
     position = site.survey.station_positions
     if site.is_feasible(position[None], site.is_visible(position)[None])[0]:
         return ""
@@ -319,7 +322,7 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     if reachable >= site.min_sights:
         return file
 
-    def refused(least: int) -> SetupError | None:
+    def layout_error(least: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
         searcher = LayoutSearcher(site.replace(min_sights=least), grid_step=step, n_yaws=1, n_heights=settings.heights)
         try:
@@ -329,10 +332,10 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return None
 
     if not file.requires_sights and reachable:
-        while reachable > 1 and refused(reachable):
+        while reachable > 1 and layout_error(reachable):
             reachable -= 1
         return file.with_min_stations(reachable)
-    problem = refused(site.min_sights)
+    problem = layout_error(site.min_sights)
     if problem is None:
         return file
     if not reachable:

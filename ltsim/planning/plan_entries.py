@@ -72,7 +72,7 @@ class ReflectorEntry(Entry):
     position_mm: Vector
     """Centre of the reflector, in the workshop's frame."""
     sigma_um: OptionalFloat
-    """Expected standard deviation of the point: square root of the trace of its covariance."""
+    """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
     u_um: ComponentSizes = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0

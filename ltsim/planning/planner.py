@@ -194,7 +194,7 @@ def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
-    """Survey whose set-up contains the directions in which its fixed nests are aimed at its stations."""
+    """Survey whose set-up gives the normals of fixed nests, aimed at the stations of the survey."""
     targets, normals = dict(survey.setup.targets), aim_nest_normals(survey.station_positions, survey.target_points)[0]
     for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
         name = survey.target_names[at]

@@ -114,7 +114,9 @@ class NextMeasurement(ResultFile):
         return {"proposals": self._proposals_table, "separation": self._evidence_table}
 
     def _proposals_table(self) -> Table:
-        return PROPOSALS_TABLE.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
+        return PROPOSALS_TABLE.with_rows(
+            {**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals
+        )
 
     def _evidence_table(self) -> Table:
         """Table of the evidence between the first explanation and each other one: now, and after each measurement."""
@@ -129,4 +131,4 @@ class NextMeasurement(ResultFile):
             for p in self.proposals
             if p.evidence
         ]
-        return Table("separation.csv", "separation of the explanations", columns).filled(rows)
+        return Table("separation.csv", "separation of the explanations", columns).with_rows(rows)

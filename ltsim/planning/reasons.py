@@ -21,7 +21,7 @@ from ltsim.planning.planner import (
     TradeoffPoint,
     objective_and_qualities,
 )
-from ltsim.planning.site import MAX_LISTED_NAMES, broken_rules_text, is_too_near
+from ltsim.planning.site import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
 from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import layout_objective
 
@@ -117,7 +117,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(tried: Sequence[StationCountResult], least: int) -> list[str]:
+def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
@@ -127,7 +127,7 @@ def _count_result_clauses(tried: Sequence[StationCountResult], least: int) -> li
             )
         if outcome.has_layout:
             return "the best layout does not determine every point"
-        return f"no layout has every point in sight of {least} station{'s' if least > 1 else ''}"
+        return f"no layout has every point in sight of {min_stations} station{'s' if min_stations > 1 else ''}"
 
     def came_of(text: str, same: Sequence[StationCountResult]) -> str:
         first, last = same[0].n_stations, same[-1].n_stations
@@ -260,8 +260,8 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
         depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.target_points) - survey.target_points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MAX_LISTED_NAMES)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
-                "within the tolerance of its mesh, and are treated as on its surface."
+                f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
+                "body, within the tolerance of its mesh, and are treated as on its surface."
             )
     lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
     if lost:
@@ -276,7 +276,7 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
 
 
 def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Trade-off point with the fewest stations that is as good as the scenario's layout, measured in the same way."""
+    """Trade-off point with the fewest stations that is as good as the scenario's layout with the same procedure."""
     if plan.reference is None or not plan.reference.qualities:
         return None
     goal = _reference_objective(plan)

@@ -19,7 +19,7 @@ from ltsim.planning.survey import PlannedSurvey
 MIN_REPORTED_IMPROVEMENT = 0.002
 """Smallest relative improvement of the quality at which a change is reported."""
 UNCHANGED_QUALITY = 5e-4
-"""Relative change of the quality up to which it counts as unchanged."""
+"""Relative change of the quality up to which the quality counts as unchanged."""
 MAX_REPORTED_CHANGES = 3
 """Largest number of reported changes of each kind."""
 

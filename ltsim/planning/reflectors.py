@@ -19,7 +19,7 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.visibility import aim_nest_normals
 
-MAX_SWEEPS = 8
+MAX_REFLECTOR_SWEEPS = 8
 """Largest number of rounds of exchanges."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
 """Distance [m] within which a candidate place equals the present place of a reflector."""
@@ -79,7 +79,7 @@ class NormalMatrixTable:
         return self.scorer.marginal_information(totals, np.broadcast_to(self.squared_column_norms, totals.shape[:2]))
 
     def target_rms(self, totals: Floats, asked: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of fixed targets and of reflectors at the places `asked`.
+        """Root mean square point error (B,) [m] of fixed targets and of reflectors at `asked` places, (n,) or (B, n).
 
         These are (n,) or (B, n).
         """
@@ -98,7 +98,7 @@ class NormalMatrixTable:
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _block_rows(self, layouts: int, asked: Ints) -> Ints:
-        """Rows of `target_block_inverses` for the fixed targets and the places `asked`, (B, fixed + n)."""
+        """Rows of `target_block_inverses` that belong to the fixed targets and the places `asked`, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         asked = np.broadcast_to(asked, (layouts, np.shape(asked)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + asked], axis=1)
@@ -184,7 +184,7 @@ def choose_reflectors(
     objective: LayoutObjective,
     construction: Construction,
 ) -> PlannedSurvey:
-    """Survey with its movable reflectors (not `is_fixed` (T,)) at the best of their present and candidate places.
+    """Survey whose movable reflectors (not `is_fixed` (T,)) are at the best of the present and candidate places.
 
     Raises SetupError if too few places are visible.
     """
@@ -227,7 +227,7 @@ def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
 
 
 def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, spacing: float) -> Ints:
-    """Indices (wanted,) of initial places: the present ones, then those far from all others."""
+    """Indices (wanted,) of the initial places: the present ones, then places far from all others."""
     chosen: list[int] = np.flatnonzero(present_places).tolist()
     while len(chosen) < n_reflectors:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
@@ -246,7 +246,7 @@ def _exchange_places(
     total = table.normal_matrix(chosen)
     value = float(table.objective_values(total[None], chosen[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
-    for _ in range(MAX_SWEEPS):
+    for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
         for i in range(len(chosen)):
             others = np.delete(chosen, i)

@@ -55,7 +55,7 @@ class Plan(ResultFile, LayoutEntry):
     reflector_changes: tuple[PlanChange, ...] = ()
     """Useful changes of one reflector, the best first, then reflectors that can be removed."""
     changes_tried: str = ""
-    """Numbers of reflector changes tried and of those that help, as a sentence."""
+    """Sentence with the numbers of evaluated and of useful reflector changes."""
     bodies: tuple[str, ...] = ()
     """Obstacles in the hall, one sentence each: type of the file, size and position."""
     reached: bool | None = None
@@ -126,50 +126,50 @@ class Plan(ResultFile, LayoutEntry):
             "reflectors": self._reflectors_table,
             "tolerances": self._tolerances_table,
             "losses": self._losses_table,
-            "tradeoff": lambda: tables.TRADEOFF_TABLE.filled(self.tradeoff),
+            "tradeoff": lambda: tables.TRADEOFF_TABLE.with_rows(self.tradeoff),
             "parameters": self._parameters_table,
             "expected": self._expected_table,
             "changes": self._changes_table,
-            "effects": lambda: tables.EFFECTS_TABLE.filled(self.detectable),
-            "confusable": lambda: tables.CONFUSABLE_TABLE.filled(self.confusable),
-            "nominals": lambda: tables.NOMINALS_TABLE.filled([r.name, *r.position_mm] for r in self.reflectors),
+            "effects": lambda: tables.EFFECTS_TABLE.with_rows(self.detectable),
+            "confusable": lambda: tables.CONFUSABLE_TABLE.with_rows(self.confusable),
+            "nominals": lambda: tables.NOMINALS_TABLE.with_rows([r.name, *r.position_mm] for r in self.reflectors),
         }
 
     def _stations_table(self) -> Table:
-        return tables.STATIONS_TABLE.filled(
+        return tables.PLANNED_STATIONS_TABLE.with_rows(
             [s.name, *s.position_mm, s.yaw_deg, *(s.sigma_position_um or 3 * (None,)), s.visible_reflectors]
             for s in self.stations
         )
 
     def _reflectors_table(self) -> Table:
-        return tables.REFLECTORS_TABLE.filled(
+        return tables.PLANNED_REFLECTORS_TABLE.with_rows(
             [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
              " ".join(r.visible_from)]
             for r in self.reflectors
         )  # fmt: skip
 
     def _tolerances_table(self) -> Table:
-        return tables.TOLERANCES_TABLE.filled(
+        return tables.TOLERANCES_TABLE.with_rows(
             [r.name, r.within_mm, r.tolerance_mm, percent_text(r.used), r.met]
             for r in self.reflectors
             if r.used is not None
         )
 
     def _losses_table(self) -> Table:
-        return tables.LOSSES_TABLE.filled(
+        return tables.LOSSES_TABLE.with_rows(
             [loss.lost, loss.met, loss.worst, loss.ratio_text, " ".join(loss.unseen)]
             for loss in sorted(self.losses, key=lambda loss: loss.met)
         )
 
     def _parameters_table(self) -> Table:
         reference = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
-        return tables.PARAMETERS_TABLE.filled(
+        return tables.PLANNED_PARAMETERS_TABLE.with_rows(
             [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
         )
 
     def _expected_table(self) -> Table:
         layouts: list[tuple[str, LayoutEntry | None]] = [("this plan", self), ("reference layout", self.reference)]
-        return tables.EXPECTED_TABLE.filled(
+        return tables.EXPECTED_TABLE.with_rows(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
             if entry is not None and entry.expected_improvement
@@ -177,7 +177,7 @@ class Plan(ResultFile, LayoutEntry):
         )
 
     def _changes_table(self) -> Table:
-        return tables.CHANGES_TABLE.filled(
+        return tables.REFLECTOR_CHANGES_TABLE.with_rows(
             [i, c.action_text, c.gain_um, 100 * (1 - c.quality), c.serves, 100 * (c.serves_factor - 1)]
             for i, c in enumerate(self.reflector_changes, 1)
         )

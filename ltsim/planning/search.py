@@ -22,14 +22,14 @@ from ltsim.planning.site import SearchSpace, StationPlacement
 
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""
-MAX_SWEEPS = 12
+MAX_LAYOUT_SWEEPS = 12
 """Largest number of sweeps of exchanges."""
 MAX_RANDOM_LAYOUTS = 12
 """Largest number of random layouts that are drawn for one start."""
 PROGRESS_FACTOR = 0.985
 """Factor on the remaining part of the progress bar for each step; the number of steps is unknown in advance."""
 MIN_REFINEMENT_STEP = 0.004
-"""Step [m] of the last moves off the grid."""
+"""Step [m] of the last moves away from the grid."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class LayoutSearcher:
     grid_step: float = 0.5
     """Step of the grid [m]."""
     n_yaws: int = 6
-    """Number of yaws that are tried at each place of the grid."""
+    """Number of candidate yaws at each place of the grid."""
     n_heights: int = 2
-    """Number of heights that are tried at each place of the grid."""
+    """Number of candidate heights at each place of the grid."""
     on_progress: Callable[[float], None] = no_progress
     """Callback for the finished fraction of a start."""
     on_layout: Callable[[StationLayout], None] = no_progress
@@ -186,7 +186,7 @@ class LayoutSearcher:
 
     def exchange_on_grid(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
         """Layout after exchanges of stations for set-ups of the grid, until none improves it."""
-        for _ in range(MAX_SWEEPS):
+        for _ in range(MAX_LAYOUT_SWEEPS):
             before = value
             layout, value = self._exchange_sweep(layout, value, lambda _, slot: self.grid_setups(slot))
             if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
@@ -196,13 +196,13 @@ class LayoutSearcher:
     def refine_off_grid(
         self, layout: NormalBlocks, value: float, random_generator: np.random.Generator
     ) -> tuple[NormalBlocks, float]:
-        """Layout after moves of stations off the grid.
+        """Layout after moves of stations away from the grid: pattern search with shrinking steps.
 
         It is a pattern search with shrinking steps along the axes and at random.
         """
         reach = 0.5 * self.grid_step
 
-        def around(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
+        def neighbouring_setups(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
             """Set-ups near a station, with x, y, height and yaw changed separately and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.grid_step]
@@ -218,7 +218,7 @@ class LayoutSearcher:
 
         while reach > MIN_REFINEMENT_STEP:
             before = value
-            layout, value = self._exchange_sweep(layout, value, around)
+            layout, value = self._exchange_sweep(layout, value, neighbouring_setups)
             if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
@@ -274,7 +274,10 @@ class LayoutSearcher:
         return layout
 
     def search_from(self, seed: int, start_number: int) -> StationLayout:
-        """Result of a start: number 0 begins at the declared layout if that is permitted, the others at random."""
+        """Result of the search from one start. Start 0 is the declared layout if the rules permit it.
+
+        The others are random.
+        """
         rng = stream(seed, "plan", self.n_stations, start_number)
         current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws
         begins_there = start_number == 0 and np.isfinite(self.evaluate_layout(*current).objective_value)

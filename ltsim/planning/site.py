@@ -33,10 +33,10 @@ MAX_NEST_AIMING_STEPS = 60
 """Largest number of steps of the iteration that aims a fixed nest."""
 NEST_ANGLE_MARGIN = 0.004
 """Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
-MAX_LISTED_NAMES = 8
+MAX_NAMES_IN_RULE_TEXT = 8
 """Largest number of names that a sentence lists."""
 N_PLACEMENT_DRAWS = 24
-"""Number of random places that are tried for a station of a random placement."""
+"""Number of candidate places that are drawn for a station of a random layout."""
 MAX_BRANCH_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
 RANDOM_PLACE_COST = 1e-4
@@ -143,7 +143,7 @@ class SearchSpace(ValueEquality):
         return good
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """All rules that a layout breaks, those of positions first; empty for a layout that the search permits."""
+        """All rules that a layout breaks, rules of positions first; empty for a permitted layout."""
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
@@ -174,7 +174,7 @@ class SearchSpace(ValueEquality):
                 "is" if len(few) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MAX_LISTED_NAMES)
+            named = listing(few, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
@@ -191,7 +191,7 @@ class SearchSpace(ValueEquality):
                 if not ok
             ]
             if turned:
-                words = f"no fixed nest of {listing(turned, MAX_LISTED_NAMES)} returns the beam to all stations"
+                words = f"no fixed nest of {listing(turned, MAX_NAMES_IN_RULE_TEXT)} returns the beam to all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
@@ -219,16 +219,16 @@ class SearchSpace(ValueEquality):
         cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
-            cure = f"{listing(within, MAX_LISTED_NAMES)} {lie} inside an obstacle: move points or bodies"
+            cure = f"{listing(within, MAX_NAMES_IN_RULE_TEXT)} {lie} inside an obstacle: move points or bodies"
         return (
-            f"no place on the floor sees {listing(names, MAX_LISTED_NAMES)}, from heads at {low:g} to {high:g} "
+            f"no place on the floor sees {listing(names, MAX_NAMES_IN_RULE_TEXT)}, from heads at {low:g} to {high:g} "
             f"mm; {cure}"
         )
 
     def unseen_targets_text(self, placement: StationPlacement, chosen: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
         few = np.flatnonzero(placement.missing_sights(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MAX_LISTED_NAMES) if len(few) else ""
+        return listing([self.survey.target_names[t] for t in few], MAX_NAMES_IN_RULE_TEXT) if len(few) else ""
 
     def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
@@ -284,9 +284,9 @@ class StationPlacement:
         return np.asarray(np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[chosen].sum(axis=0), 0))
 
     def _best_place(self, others: list[int], wanted_sights: int, random_generator: np.random.Generator | None) -> int:
-        """Place that adds most sights to the others, with a small weight for sights beyond the wanted number.
+        """Place that adds most missing sights, with a small weight for sights beyond the wanted number.
 
-        It is -1 if none is permitted.
+        It is -1 if no place is permitted.
         """
         count = len(self.candidate_positions)
         rows = (

@@ -47,7 +47,7 @@ class StationSettings(TomlSection):
     count: SmallCount | None = None
     """Number of stations; default that of the scenario."""
     max_count: SmallCount = 8
-    """Largest number of stations that is tried for the tolerances of the goal, if no count is given."""
+    """Largest number of stations up to which layouts are searched for the tolerances, if no count is given."""
     tradeoff_counts: tuple[SmallCount, ...] = ()
     """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
@@ -98,7 +98,7 @@ class ReflectorSettings(TomlSection):
     place_spacing_mm: Positive = 1000.0
     """Smallest distance between generated places."""
     standoff_mm: Positive = 40.0
-    """Height of a reflector's centre above such a surface."""
+    """Height of a reflector's centre above the surface on which it may be placed."""
     movable: tuple[str, ...] = ()
     """Points of the list, or groups of them, that could be moved: the search does not move them, but the benefit of
     moving each is reported.
@@ -110,12 +110,12 @@ class ReflectorSettings(TomlSection):
 
 
 class BudgetSettings(TomlSection):
-    """Cost of the measurement, and the procedures that are tried; default times are those of the scenario."""
+    """Cost of the measurement, and candidate procedures; default times are those of the scenario."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
-    """Numbers of faces that are tried, with `hours` or tolerances; default one face and both."""
+    """Candidate numbers of faces, with `hours` or tolerances; default one face and both."""
     repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] | None = None
-    """Numbers of rounds that are tried, with `hours` or tolerances; default 1 and 2."""
+    """Candidate numbers of rounds, with `hours` or tolerances; default 1 and 2."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative | None = None
@@ -185,9 +185,9 @@ class SearchSettings(TomlSection):
     off the grid afterwards.
     """
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
-    """Number of yaws that are tried at each place."""
+    """Number of candidate yaws at each place."""
     heights: Annotated[int, Field(ge=1, le=10)] = 2
-    """Number of heights that are tried at each place."""
+    """Number of candidate heights at each place."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Root of the random draws of the search."""
 
@@ -226,9 +226,11 @@ class PlanFile(TomlSection):
     search: SearchSettings = SearchSettings()
     """Extent of the search."""
 
-    def with_min_stations(self, least: int) -> PlanFile:
-        """Plan file that requires `least` stations for each reflector."""
-        return self.model_copy(update={"stations": self.stations.model_copy(update={"min_stations_per_target": least})})
+    def with_min_stations(self, min_stations: int) -> PlanFile:
+        """Plan file that requires `min_stations` stations for each reflector."""
+        return self.model_copy(
+            update={"stations": self.stations.model_copy(update={"min_stations_per_target": min_stations})}
+        )
 
     @property
     def requires_sights(self) -> bool:

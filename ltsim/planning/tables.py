@@ -6,7 +6,7 @@ from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, Tradeoff
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
 PLACE_COLUMNS = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
-STATIONS_TABLE = Table(
+PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "places of the tripods",
     (
@@ -17,7 +17,7 @@ STATIONS_TABLE = Table(
         *numbers(visible_reflectors="number of visible reflectors"),
     ),
 )
-REFLECTORS_TABLE = Table(
+PLANNED_REFLECTORS_TABLE = Table(
     "reflectors.csv",
     "reflectors with their expected uncertainty",
     (
@@ -29,7 +29,7 @@ REFLECTORS_TABLE = Table(
         *texts(visible_from="stations from which it is visible"),
     ),
 )
-PARAMETERS_TABLE = Table(
+PLANNED_PARAMETERS_TABLE = Table(
     "parameters.csv",
     "instrument parameters with their expected uncertainty",
     (
@@ -108,7 +108,7 @@ LOSSES_TABLE = Table(
         ),
     ),
 )
-CHANGES_TABLE = Table(
+REFLECTOR_CHANGES_TABLE = Table(
     "changes.csv",
     "reflectors to move, add or remove",
     (
@@ -132,8 +132,8 @@ CONFUSABLE_TABLE = Table(
     "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
 )
 PLAN_TABLES = (
-    NOMINALS_TABLE, WORK_ORDER_TABLE, STATIONS_TABLE, REFLECTORS_TABLE, TOLERANCES_TABLE, LOSSES_TABLE,
-    TRADEOFF_TABLE, PARAMETERS_TABLE, EXPECTED_TABLE, CHANGES_TABLE, EFFECTS_TABLE,
+    NOMINALS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE, LOSSES_TABLE,
+    TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_TABLE, REFLECTOR_CHANGES_TABLE, EFFECTS_TABLE,
     CONFUSABLE_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
 """Tables that are written with plan.json."""
@@ -142,7 +142,7 @@ PLAN_TABLES = (
 def make_visibility_table(layout: LayoutEvaluation) -> Table:
     """Table `visibility.csv`: every pair of station and target."""
     words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
-    return VISIBILITY_TABLE.filled(
+    return VISIBILITY_TABLE.with_rows(
         [
             station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.ranges[s, t]) * 1e3, 1),
             round(float(table.elevations[s, t]) / DEGREE, 2), round(float(table.incidence_angles[s, t]) / DEGREE, 2),
@@ -155,7 +155,7 @@ def make_visibility_table(layout: LayoutEvaluation) -> Table:
 def make_work_order_table(plan: PlannedNetwork) -> Table:
     """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
     recording = plan.layout.survey.noise_free_recording(plan.layout.information.construction)
-    return WORK_ORDER_TABLE.filled(
+    return WORK_ORDER_TABLE.with_rows(
         [
             i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
             int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),

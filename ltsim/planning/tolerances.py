@@ -22,7 +22,7 @@ DEFAULT_TOLERANCE_FACTOR = 10.0
 """Factor on the widest tolerance that gives the tolerance of points without one in the objective."""
 MIN_POINT_WEIGHT = 1e-6
 """Smallest weight of a point in the objective."""
-MAX_LISTED_POINTS = 5
+MAX_POINTS_IN_VERDICT = 5
 """Largest number of points that a sentence lists."""
 LOST_SIGHT_PREFIX = "the sight"
 """First words of the name of a lost sight."""
@@ -36,7 +36,7 @@ def is_met(ratio: float) -> bool:
 
 
 def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of a value with the fewest digits (at least `digits`) that show on which side of its limit it is."""
+    """Text of a value, with enough digits (at least `digits`) to show on which side of its limit the value is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
@@ -160,7 +160,10 @@ class ToleranceCheck:
         """Clause on the points that are not visible or exceed their tolerances."""
         if self.meets_all:
             return f"all tolerances are met, worst point {self.worst_point_numbers}"
-        verb, named = "is" if len(self.unseen_points) == 1 else "are", listing(self.unseen_points, MAX_LISTED_POINTS)
+        verb, named = (
+            "is" if len(self.unseen_points) == 1 else "are",
+            listing(self.unseen_points, MAX_POINTS_IN_VERDICT),
+        )
         parts = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
         if not self.error_by_point:
             parts.append(UNDETERMINED_TEXT)

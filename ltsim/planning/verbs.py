@@ -47,20 +47,20 @@ def plan(
     Parameters
     ----------
     source : str or Path
-        A plan file, a scenario file, the name of a built-in one, or the folder of a plan.
+        Plan file, scenario file, name of a built-in one, or folder of a plan.
     starts : int, optional
-        Independent searches; default as the file says.
+        Number of independent searches; default from the plan file.
     seed : int, optional
-        Root of the search; default as the file says.
+        Root of the random draws of the search; default from the plan file.
     jobs : int
-        Processes; the plan does not depend on it.
+        Number of processes; the plan does not depend on it.
     progress : callable
-        Told what is done and the share of it.
-    callbacks : Follower, optional
-        In place of `progress`: also hears how long it may take, and is given the best layout so far.
+        Callback with the name of the present task and its finished fraction.
+    callbacks : SearchCallbacks, optional
+        Callbacks in place of `progress`, also for the expected run time and for the best layout so far.
     move : mapping, optional
-        Nothing is searched: the layout as it stands, with these stations at other places: x, y, z in mm and yaw in
-        degrees; yaw, or z and yaw, may be left out.
+        Positions of stations, x, y, z in mm and yaw in degrees; yaw, or z and yaw, can be omitted. The layout with
+        these positions is evaluated, without a search.
 
     Raises
     ------
@@ -98,15 +98,16 @@ def next_measurement(
     ----------
     recording : Recording, str or Path
     between : sequence of str
-        Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
-        and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
-        further station by what it tells about the instrument's parameters.
+        Names of two or more effects that explain the recording. Measurements are ranked by the number of effects that
+        they distinguish from the first, then by effort and time, then by evidence. Without names they are ranked by the
+        information that they give on the instrument's parameters.
     with_effects : str, Effect or sequence of them
-        What has been found already beside the question; of a name, where it fits the residuals best.
+        Effects that are already in the model in addition to those of `between`; an effect given by name acts where it
+        fits the residuals best.
     minutes_per_move : float
-        What it costs to move the tripod.
+        Time [min] for moving the tripod.
     progress : callable
-        Told what is done and the share of it.
+        Callback with the name of the present task and its finished fraction.
 
     Raises
     ------
@@ -151,9 +152,9 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     Parameters
     ----------
     source : str or Path
-        The folder of a plan, a plan file or a scenario; its stations are the layout.
+        Folder of a plan, plan file or scenario, whose stations are the layout.
     station : str
-        The one that cannot stand where it is.
+        Name of the station that cannot stand at its planned position.
 
     Raises
     ------
@@ -196,7 +197,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
 
 
 def _plan_with_moved_stations(
-    named: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
+    plan: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
 ) -> PlannedNetwork:
     """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
 
@@ -204,7 +205,7 @@ def _plan_with_moved_stations(
 
     Raises SetupError for a position where no tripod may stand.
     """
-    file, site = unsearched_plan(named, scenario)
+    file, site = unsearched_plan(plan, scenario)
     survey = site.survey
     position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
     for name, given in new_positions.items():
@@ -218,9 +219,9 @@ def _plan_with_moved_stations(
     return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
 
 
-def _position_numbers(name: str, given: object) -> Floats:
+def _position_numbers(name: str, position: object) -> Floats:
     """Numbers (2 to 4) of a new position; raises SetupError."""
-    words = np.ravel(np.asarray(given, dtype=object)).tolist()
+    words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):

@@ -34,7 +34,7 @@ FREE_TAPE_HEIGHT = 0.1
 MIN_FIRMNESS_GAIN_PER_METRE = 0.03
 """Smallest gain in firmness of three distances per additional metre of tape."""
 MIN_MOVED_SIGMAS = 3.0
-"""Number of standard deviations beyond which a repeated point counts as moved."""
+"""Number of standard deviations from which a repeated point counts as moved."""
 N_REPEATED_POINTS = 3
 """Number of points that are measured again at the end of a station."""
 
@@ -55,10 +55,10 @@ class TapeDistance:
         return f"{self.length:.2f} m to {self.end_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
-    def from_station(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
+    def from_station(cls, target: str, target_position: Floats, station: Floats, *, floor: bool) -> TapeDistance:
         """Tape distance from an instrument at `station` (3,) [m]."""
-        gap = place - station
-        return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
+        gap = target_position - station
+        return cls(target, target_position, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)

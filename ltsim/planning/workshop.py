@@ -218,8 +218,8 @@ def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurve
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
-def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
-    fixed = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
+def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
+    fixed = {*plan.reflectors.keep, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 
 

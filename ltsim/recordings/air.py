@@ -11,9 +11,8 @@ class AirUncertainty(TomlSection):
     """
 
     temperature_k: NonNegative = 0.5
-    """Standard deviation of the mean air temperature along the beams of a station minus the temperature at its weather
-    station.
-    """
+    """Standard deviation of the difference between the mean air temperature along the beams of a station and the
+    temperature at its weather station."""
     gradient_k_per_m: NonNegative = 0.1
     """Standard deviation of the vertical temperature gradient at a station: 0.1 in good halls, 1 to
     2 in heated ones.
@@ -29,6 +28,5 @@ class AirUncertainty(TomlSection):
 
 
 NO_AIR_UNCERTAINTY = AirUncertainty(temperature_k=0.0, gradient_k_per_m=0.0, turbulence_um2_per_m3=0.0)
-"""Uncertainty of the air for formats of outdoor surveys: none, because the standard deviations of their observations
-include the atmosphere.
-"""
+"""Zero uncertainty of the air, for formats of outdoor surveys: the standard deviations of their observations include
+the atmosphere."""

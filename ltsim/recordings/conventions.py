@@ -33,7 +33,8 @@ LengthUnit = Literal["mm", "m"]
 StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
-ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
+"""Units of angles that a hint can give."""
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
 """Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
@@ -101,7 +102,7 @@ def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
-    angles = ANGLE_UNITS if hints.angle is None else (hints.angle,)
+    angles = HINTED_ANGLE_UNITS if hints.angle is None else (hints.angle,)
     verticals = VERTICAL_KINDS if hints.vertical is None else (hints.vertical,)
     open_ = [
         (a, v)
@@ -188,7 +189,7 @@ def _convention_from_lengths(
     first, second = np.argsort(gaps)[:2]
     if gaps[first] > 1e-2 or gaps[first] * MIN_MISFIT_RATIO > gaps[second]:
         return None
-    return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
+    return open_[first], f"two stations then measure equal lengths within 1 part in {1 / max(gaps[first], 1e-9):.0f}"
 
 
 def _missing_hint_error(
@@ -259,9 +260,9 @@ def _azimuth_sense_by_alignment(
 
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
-    """Median misfits [m] of points (n, 3) and of their mirror image after rigid alignment to others.
+    """Median misfits [m] of points (n, 3), and of their mirror image, to other points after a rigid alignment.
 
-    It is 1 if no alignment exists.
+    A misfit is 1 if no alignment exists.
     """
     misfits = []
     for side in (1.0, -1.0):
@@ -325,7 +326,7 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which a network uses only the distances."""
-    rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
+    rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
     where = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)

@@ -41,7 +41,7 @@ AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
 MAX_ASYMMETRY = 1e-6
 """Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
-MIN_CORRELATION_EIGENVALUE = -1e-9
+MIN_ROUNDED_EIGENVALUE = -1e-9
 """Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate up to which a list without a unit is interpreted as metres."""
@@ -303,7 +303,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{quoted_text(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_ROUNDED_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 
@@ -381,12 +381,12 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     return stream.getvalue()
 
 
-def _read_covariance_matrix(path: Path, wanted: Sequence[str]) -> Floats:
+def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
     """Covariance matrix from a file whose coordinates are named and may be in any order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
     names = list(map(unguard_formula, first.fields[1:]))
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in coordinate_names if name not in names]
     if missing or [unguard_formula(row.fields[0]) for row in body] != names:
         what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
@@ -396,5 +396,5 @@ def _read_covariance_matrix(path: Path, wanted: Sequence[str]) -> Floats:
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)
-    at = [names.index(name) for name in wanted]
+    at = [names.index(name) for name in coordinate_names]
     return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]

@@ -6,7 +6,8 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_SIGMAS = 0.1
-"""Angle of the earth's curvature over a line of sight, in sigma of its elevation, from which it is modelled."""
+"""Smallest angle of the earth's curvature over a line of sight, in sigmas of its elevation, at which the curvature is
+modelled."""
 
 DEFAULT_REFRACTION = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard

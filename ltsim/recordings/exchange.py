@@ -28,8 +28,9 @@ from ltsim.recordings.tables.cells import has_clock, is_value
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
 HEAD_SIZE = 16_384
+"""Number of bytes at the beginning of a file by which its format is recognised."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
+"""Number of contradictory rows from which a list of points is interpreted as positions of a moving target."""
 MAX_REPEATED_POINT_M = 1e-3
 """Largest distance [m] between rows of one name that are repeated measurements of one point."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"

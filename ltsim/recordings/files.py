@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
+from ltsim.core.limits import MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINES, MIB
 from ltsim.core.storage import write_files
 
-MAX_NAME_LENGTH = 100
+MAX_RECORDING_NAME_LENGTH = 100
+"""Largest number of characters of a name in a recording."""
 MAX_NUMBER_LENGTH = 40
 MAX_TEXT_LENGTH = 500
-MAX_TITLE_LENGTH = 120
+MAX_RECORDING_TITLE_LENGTH = 120
+"""Largest number of characters of a title of a recording."""
 UTF8_MARK = b"\xef\xbb\xbf"
 UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _UNDEFINED_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
@@ -23,7 +25,7 @@ _NOT_FINITE_PATTERN = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _FORBIDDEN_CHARACTERS = re.compile(r"[<>/\\]")
 
 
-def read_bytes(path: Path, max_bytes: int = FILE_BYTES) -> bytes:
+def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Content of a file of at most `max_bytes` bytes.
 
     Raises RecordError when it is missing, a folder, unreadable, empty or too large.
@@ -58,7 +60,7 @@ def decode_head(content: bytes) -> str:
         return content.removeprefix(UTF8_MARK).decode("latin-1")
 
 
-def read_text(path: Path, *, liberal: bool = False, max_bytes: int = FILE_BYTES) -> str:
+def read_text(path: Path, *, liberal: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
     """Text of a file of at most `max_bytes` bytes, in UTF-8 or UTF-16.
 
     With `liberal` any other encoding is read as Windows-1252.
@@ -82,15 +84,15 @@ def read_text(path: Path, *, liberal: bool = False, max_bytes: int = FILE_BYTES)
 def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     """Lines of a text file without their line breaks (Unix, Windows or old Macintosh).
 
-    Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
+    Raises RecordError for more than `MAX_TEXT_LINES` of them, or one of more than `MAX_LINE_CHARACTERS`.
     """
     text = with_unix_line_ends(read_text(path, liberal=liberal))
-    if text.count("\n") > LINES:
-        raise RecordError(f"has more than {LINES} lines, the limit for reading", file=path)
+    if text.count("\n") > MAX_TEXT_LINES:
+        raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
-        if len(line) > LINE_CHARACTERS:
-            raise RecordError(f"line {i + 1} is longer than {LINE_CHARACTERS} characters", file=path)
+        if len(line) > MAX_LINE_CHARACTERS:
+            raise RecordError(f"line {i + 1} is longer than {MAX_LINE_CHARACTERS} characters", file=path)
     return lines
 
 
@@ -151,8 +153,8 @@ class SourceLocation:
             what = "is empty" if not name.strip() else f"'{quoted_text(name)}' begins or ends with a space"
             raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
-        if len(name) > MAX_NAME_LENGTH:
-            reason = f"is longer than {MAX_NAME_LENGTH} characters"
+        if len(name) > MAX_RECORDING_NAME_LENGTH:
+            reason = f"is longer than {MAX_RECORDING_NAME_LENGTH} characters"
         elif not name.isprintable():
             reason = "holds a control character"
         elif forbidden := _FORBIDDEN_CHARACTERS.search(name):
@@ -181,7 +183,7 @@ def parse_comma_number(text: str, *, file: object, row: int | None = None, colum
 
 def as_title(text: str) -> str:
     """Title from a foreign file as one line of limited length."""
-    line = textwrap.shorten(text, MAX_TITLE_LENGTH, placeholder=" ...")
+    line = textwrap.shorten(text, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 

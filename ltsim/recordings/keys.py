@@ -64,9 +64,8 @@ MIN_VECTOR_LENGTH = 1e-6
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 MIN_POSITIVE = 1e-9
-"""Smallest permitted value of a positive number, in the unit of its key, because results are divided by it and by its
-square.
-"""
+"""Smallest permitted value of a positive number, in the unit of its key: results are divided by the number and by its
+square."""
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_not_tiny)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
@@ -74,7 +73,7 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Line = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec, ppm]: below it weights lose their digits."""
+"""Smallest permitted standard deviation [mm, arcsec, ppm]: smaller ones give weights that lose their digits."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[

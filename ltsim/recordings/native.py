@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import FIELDS
+from ltsim.core.limits import MAX_ROW_FIELDS
 from ltsim.core.results import guard_formula, unguard_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -60,11 +60,12 @@ COLUMN_BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
-OTHER_COLUMN_BOUNDS = ("k", "f", "pa", "bar", "inch")
+FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
+"""Units in headings of further columns, in addition to the units of ltsim."""
 
 
-INTERNED_TEXTS = 10_000
-"""Texts of cells that are kept once where they occur again, such as names."""
+MAX_INTERNED_TEXTS = 10_000
+"""Largest number of distinct texts of cells, such as names, that are stored once and shared."""
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -101,11 +102,13 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     try:
         for fields in csv.reader(_release_lines(lines), strict=True):
             cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
-            if len(texts) < INTERNED_TEXTS:
+            if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
             if any(cells):
-                if len(cells) > FIELDS:
-                    raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
+                if len(cells) > MAX_ROW_FIELDS:
+                    raise SourceLocation(path, len(rows)).error(
+                        f"{len(cells)} columns, expected at most {MAX_ROW_FIELDS}"
+                    )
                 rows.append(cells)
                 if len(cells) != len(rows[0]):
                     SheetRow(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
@@ -183,7 +186,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
-            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *OTHER_COLUMN_BOUNDS)
+            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *FURTHER_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
             raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)

@@ -60,9 +60,9 @@ class PointingColumns:
     sources: Sequence[str]
 
 
-def numbered_name(point: str, before: int) -> str:
+def numbered_name(point: str, n_earlier: int) -> str:
     """Name of a set-up on a point: the point's name, with a number from the second set-up on."""
-    return f"{point}#{before + 1}" if before else point
+    return f"{point}#{n_earlier + 1}" if n_earlier else point
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
@@ -81,7 +81,7 @@ def declares_noise(recording: Recording) -> bool:
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NOT_MEASURED)
     for k, name in enumerate(SIGMA_COLUMNS):
         sigmas[:, k] = recording.covariates.get(name, NOT_MEASURED)
-    return bool(np.isfinite(sigmas[recording.measured]).all())
+    return bool(np.isfinite(sigmas[recording.is_measured]).all())
 
 
 def recording_of_pointings(
@@ -161,7 +161,7 @@ class SingleObservation:
         return self.instrument_height, self.target_height
 
 
-def merge_observations(observed: Iterable[SingleObservation], file: str) -> list[Pointing]:
+def merge_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
     """Pointings from single observations of a station to a target.
 
     The k-th direction, zenith angle and distance at equal heights form one pointing. Standard deviations and heights
@@ -169,7 +169,7 @@ def merge_observations(observed: Iterable[SingleObservation], file: str) -> list
     """
     rows: list[dict[str, SingleObservation]] = []
     open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
-    for observation in observed:
+    for observation in observations:
         candidates = open_rows.setdefault((observation.station, observation.target), [])
         row = next(
             (r for r in candidates if observation.kind not in r and _group_by_heights([*r.values(), observation])), None
@@ -184,8 +184,10 @@ def merge_observations(observed: Iterable[SingleObservation], file: str) -> list
     return [_pointing(row, file) for row in rows]
 
 
-def _group_by_heights(observed: Sequence[SingleObservation]) -> bool:
-    return all(len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observed), strict=True))
+def _group_by_heights(observations: Sequence[SingleObservation]) -> bool:
+    return all(
+        len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observations), strict=True)
+    )
 
 
 def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option
-from ltsim.core.limits import MAX_POINTINGS, max_pointings
+from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE, max_pointings
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -28,7 +28,7 @@ HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
 SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
 """Pattern of covariates with the change of single readings by one standard deviation of an error that they share."""
-BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
+BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that describe the measurement and not its conditions; a diagnosis does not use them as regressors."""
 KIND_COLUMN = "distance_kind"
 """Label of the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
@@ -153,14 +153,14 @@ class Recording(Result):
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
-    def measured(self) -> Bools:
+    def is_measured(self) -> Bools:
         """Flags (n, 3) of the readings that exist."""
         return np.isfinite(self.readings)
 
     @property
     def usable(self) -> Bools:
         """Flags (n, 3) of the readings that a network uses: measured, and no angle of a `vertical` pointing."""
-        return self.measured & ~(self.vertical[:, None] & [False, True, True])
+        return self.is_measured & ~(self.vertical[:, None] & [False, True, True])
 
     @property
     def vertical(self) -> Bools:
@@ -236,7 +236,7 @@ class Recording(Result):
     @property
     def regressor_covariates(self) -> Mapping[str, Floats]:
         """Covariates (n,) that readings may depend on; if both meters were used, also 1 for `ifm`."""
-        columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
         circumstances = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
         modes = self.labels.get(MODE_COLUMN, ())
         if {"adm", "ifm"} <= set(modes):
@@ -280,7 +280,7 @@ class Recording(Result):
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % every == 0)
 
     def require_at_most(self, pointings: int, work: str) -> None:
-        """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        """Check of the number of pointings; raises NetworkError, with the command that thins the recording."""
         pointings = max_pointings(pointings)
         if len(self) <= pointings:
             return
@@ -293,7 +293,7 @@ class Recording(Result):
                 break
         raise NetworkError(
             f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}; on a machine with "
-            f"more memory set the environment variable {MAX_POINTINGS} to {len(self)}"
+            f"more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
         )
 
     def with_readings(self, readings: Floats) -> Recording:

@@ -19,7 +19,8 @@ EXPANSION_ERROR_PREFIX = "expansion of "
 """Prefix of the name of the expansion error that lengths of one material share."""
 SCALE_ERROR_NAME = "scale of all lengths"
 MIN_UNKNOWN_SCALE_PPM = 1000.0
-"""Standard deviation [ppm] of the common scale of lengths from which they determine ratios only: 40 K of aluminium."""
+"""Standard deviation [ppm] of the common scale of lengths from which the lengths determine ratios only; it corresponds
+to 40 K for aluminium."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def check_differences(recording: Recording, file: object) -> None:
             if places.get(name, last) == last and not _is_exact_mark(recording.target_setup(name), difference):
                 wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
                 message = f"'{quoted_text(name)}' was never measured, expected a mark that was, or one that is {wanted}"
-                raise SourceLocation(file, column=f"difference {difference.called}").error(message)
+                raise SourceLocation(file, column=f"difference {difference.label}").error(message)
 
 
 def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:

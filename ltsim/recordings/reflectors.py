@@ -79,10 +79,10 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
     return excess if np.any(excess) else None
 
 
-def require_equal_radii(recording: Recording, what: str) -> None:
-    """Check that all SMR centres are at their targets; raises NetworkError that names `what` otherwise."""
+def require_equal_radii(recording: Recording, task: str) -> None:
+    """Check that all SMR centres are at their targets; raises NetworkError that names `task` otherwise."""
     if excess_radii(recording) is not None:
         raise NetworkError(
-            f"{what} assumes one centre per target, but SMRs of different radii have different centres; adjust or "
+            f"{task} assumes one centre per target, but SMRs of different radii have different centres; adjust or "
             "calibrate by the network, which puts each SMR along its nest's normal"
         )

@@ -28,7 +28,7 @@ from pydantic_core import CoreSchema
 
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import JSON_VALUES
+from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import MAX_MAGNITUDE, Result
 from ltsim.core.values import equal_values
 from ltsim.recordings.coordinates import EpochCoordinates
@@ -118,7 +118,7 @@ class SourceEntry(Entry):
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
         """Entry for a recording."""
-        when = {"measured": recording.setup.measured} if recording.setup.measured else {}
+        when = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **when)
 
     @classmethod
@@ -218,7 +218,7 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """Object in a JSON file; `kind` is the expected content, for errors.
 
-    Raises RecordError for other content, for too many values, and for a number beyond `LARGEST`.
+    Raises RecordError for other content, for too many values, and for a number beyond `MAX_MAGNITUDE`.
     """
 
     def checked_number(text: str, kind: Callable[[str], float]) -> float:
@@ -231,8 +231,8 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
     text = read_text(file)
-    if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
-        raise RecordError(f"holds more than {JSON_VALUES} values, the limit for reading", file=file)
+    if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
+        raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):

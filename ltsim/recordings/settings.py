@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
-from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
+from ltsim.core.limits import MAX_TOML_BYTES, MAX_TOML_DEPTH, MAX_TOML_KEYS, MAX_TOML_VALUES
 from ltsim.recordings.files import SourceLocation, quoted_text, read_text, with_unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
@@ -34,7 +34,7 @@ def read_setup(path: Path) -> Setup:
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
-    text = with_unix_line_ends(read_text(path, max_bytes=TOML_BYTES))
+    text = with_unix_line_ends(read_text(path, max_bytes=MAX_TOML_BYTES))
     if not text.endswith(_COMPLETE_LINE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
@@ -65,13 +65,13 @@ def check_toml_limits(text: str, file: object) -> None:
             parts += 1
         elif mark in "\n=,":
             line, parts = token.end() if mark == "\n" else line, 0
-        if brackets + parts > TOML_DEPTH:
+        if brackets + parts > MAX_TOML_DEPTH:
             row = text.count("\n", 0, token.start()) + 1
             raise SourceLocation(file, row).error(
-                f"tables or keys are nested deeper than {TOML_DEPTH}, the limit for reading"
+                f"tables or keys are nested deeper than {MAX_TOML_DEPTH}, the limit for reading"
             )
-        if keys > TOML_KEYS or values > TOML_VALUES:
-            most = f"{TOML_KEYS} keys and tables or {TOML_VALUES} values"
+        if keys > MAX_TOML_KEYS or values > MAX_TOML_VALUES:
+            most = f"{MAX_TOML_KEYS} keys and tables or {MAX_TOML_VALUES} values"
             raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
@@ -168,16 +168,16 @@ def _check_names(setup: Setup, file: object) -> None:
         if line.from_ == line.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
             raise where.error(f"a length from '{quoted_text(line.to)}' to itself, expected two different targets")
-    called = [difference.called for difference in setup.differences]
+    called = [difference.label for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
             raise where.error(
                 f"a difference from '{quoted_text(difference.to)}' to itself, expected two different marks"
             )
-        if difference.called in called[:i]:
+        if difference.label in called[:i]:
             raise where.error(
-                f"'{quoted_text(difference.called)}' is there already, expected a different name (key name)"
+                f"'{quoted_text(difference.label)}' is there already, expected a different name (key name)"
             )
 
 

@@ -127,7 +127,8 @@ class LengthUse(TomlSection):
     material: Line | None = None
     """Name of a table of materials; default the coefficient of the gauge."""
     measured_in_place: bool = False
-    """True for a length that was measured in place, such as by an interferometer: it needs no expansion."""
+    """True for a length that was measured in the hall, such as by an interferometer: it needs no correction for
+    expansion."""
 
 
 class GaugeDistance(LengthUse):
@@ -193,12 +194,12 @@ class Station(TomlSection):
     instrument_height_mm: Height = 0.0
     """Height of the head above its mark."""
     over: str | None = None
-    """Target on whose mark the tripod stands."""
+    """Name of the target on whose mark the tripod stands."""
     vertical: Direction | None = None
     """Direction of the plumb line in the network frame; default z."""
 
     @model_validator(mode="after")
-    def _oriented(self) -> Station:
+    def _check_orientation(self) -> Station:
         if self.yaw_sigma_arcsec is not None and (self.yaw_deg is None or not self.levelled):
             raise ValueError("it should have yaw_deg, and levelled = true, with yaw_sigma_arcsec")
         return self
@@ -260,7 +261,7 @@ class ReferenceDifference(TomlSection):
     """Axes along which the coordinates are known."""
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """Name of the difference, given or from its marks."""
         return self.name or f"{self.from_}-{self.to}"
 
@@ -294,7 +295,7 @@ class BenchTest(TomlSection):
     """Direction of the positive angles around the nest, 0 along the horizontal, given by the mark on the SMR."""
 
     @model_validator(mode="after")
-    def _whole(self) -> BenchTest:
+    def _check_lengths(self) -> BenchTest:
         counts = len(self.angle_deg), len(self.error_um), len(self.sigma_um)
         if len(set(counts)) > 1 or counts[0] < MIN_ANGLES:
             angles, errors, sigmas = counts
@@ -379,7 +380,7 @@ class Setup(TomlSection):
         return self.instruments.get(name, self.instrument)
 
     @property
-    def measured(self) -> str | None:
+    def measured_on(self) -> str | None:
         """Day, or day and time, of the measurement in ISO format; None if it is not given."""
         if self.report is not None and self.report.date is not None:
             return self.report.date

@@ -16,7 +16,8 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 MPE_COVERAGE_FACTOR = 2.0
-"""Number of standard deviations in a maximum permissible error: manufacturers give typical errors as half of it."""
+"""Number of standard deviations in a maximum permissible error: manufacturers state a typical error of half the
+maximum."""
 TWO_FACE_LIMIT_RATIO = 2.0
 """Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
 annex D).
@@ -113,14 +114,14 @@ class Specification(TomlSection):
             noise=Noise(
                 distance_mm=sigma * self.range_um * (1.0 if has_offset else noise) * MICROMETRE / MILLIMETRE,
                 distance_ppm=sigma * self.range_um_per_m * noise,
-                azimuth_arcsec=_at_least_min_sigma(angle * noise),
-                elevation_arcsec=_at_least_min_sigma(angle * noise),
+                azimuth_arcsec=_clip_to_min_sigma(angle * noise),
+                elevation_arcsec=_clip_to_min_sigma(angle * noise),
             ),
             prior=Prior(
-                range_scale_ppm=_at_least_min_sigma(sigma * self.range_um_per_m * rest),
-                range_offset_mm=_at_least_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
-                angle_arcsec=_at_least_min_sigma(angle * rest / np.sqrt(2.0)),
-                offset_mm=_at_least_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_um_per_m * rest),
+                range_offset_mm=_clip_to_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
+                angle_arcsec=_clip_to_min_sigma(angle * rest / np.sqrt(2.0)),
+                offset_mm=_clip_to_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
             ),
         )
 
@@ -134,7 +135,7 @@ class Specification(TomlSection):
         )
 
 
-def _at_least_min_sigma(sigma: float) -> float:
+def _clip_to_min_sigma(sigma: float) -> float:
     return max(float(sigma), 1e-6)
 
 
@@ -153,20 +154,20 @@ def data_sheet_figures(name: str) -> dict[str, Any]:
     return dict(_data_sheets()[name])
 
 
-def complete_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+def complete_figures(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
 
     Raises ModelError when there is no such sheet, or a limit is in neither.
     """
     keys = data_sheet_figures(name)
-    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared]
+    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
     if missing:
         raise ModelError(
             f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
         )
-    if declared:
-        keys["source"] += f"; not from there: {', '.join(declared)}"
-    return {**keys, **declared}
+    if declared_values:
+        keys["source"] += f"; not from there: {', '.join(declared_values)}"
+    return {**keys, **declared_values}
 
 
 def data_sheet(name: str) -> Specification:
@@ -175,14 +176,14 @@ def data_sheet(name: str) -> Specification:
 
 
 def noise_and_prior_tables(
-    name: str, given: Mapping[str, Any], limits: Iterable[str] = ()
+    name: str, declared_tables: Mapping[str, Any], limits: Iterable[str] = ()
 ) -> dict[str, dict[str, float]]:
-    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `given`.
+    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `declared_tables`.
 
     No available data sheet states the range of elevations of an instrument: `limits` are the keys of that table that
-    `given` must contain.
+    `declared_tables` must contain.
 
-    Raises ModelError when there is no such sheet, or a value is neither in it nor in `given`.
+    Raises ModelError when there is no such sheet, or a value is neither in it nor in `declared_tables`.
     """
     published = data_sheet_figures(name)
     whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
@@ -190,7 +191,10 @@ def noise_and_prior_tables(
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
     if any(key not in published for key in REQUIRED_LIMITS):
         declared = {
-            f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]
+            f"{table}.{key}"
+            for table in tables
+            if isinstance(declared_tables.get(table), Mapping)
+            for key in declared_tables[table]
         }
         ranges = [
             f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
@@ -198,7 +202,7 @@ def noise_and_prior_tables(
         missing = [key for key in ranges if key not in declared]
         if missing:
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
-    travel = given.get("limits")
+    travel = declared_tables.get("limits")
     open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
     if open_:
         raise ModelError(

@@ -10,7 +10,8 @@ from ltsim.core.units import DEGREE
 from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
-MAX_LISTED_NAMES = 6
+MAX_NAMES_IN_SUMMARY = 6
+"""Largest number of names that a topic of the summary lists."""
 
 
 def recording_summary(recording: Recording) -> dict[str, str]:
@@ -34,7 +35,7 @@ def _setups_text(recording: Recording) -> str:
     over = f" over {len(marks)} marks" if marks else ""
     level = sum(s.levelled for s in setups.values())
     levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
-    return f"{len(setups)}{over} ({listing(list(setups), MAX_LISTED_NAMES)}){levelled}"
+    return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled}"
 
 
 def _pointings_text(recording: Recording) -> str:
@@ -59,7 +60,7 @@ def _n_sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
 
 
 def _readings_text(recording: Recording) -> str:
-    counts = recording.measured.sum(axis=0)
+    counts = recording.is_measured.sum(axis=0)
     flat = " (horizontal ones)" if recording.is_horizontal.any() else ""
     distances = (
         f"{counts[0]} distances{flat} of {_range_text(recording.readings[:, 0], '.4g')} m"
@@ -99,7 +100,7 @@ def _noise_text(recording: Recording) -> str:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
     shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
     by_row = ["declared per row"] if shares else []
-    return "; ".join([*by_row, *words][:MAX_LISTED_NAMES])
+    return "; ".join([*by_row, *words][:MAX_NAMES_IN_SUMMARY])
 
 
 def noise_text(noise: Noise) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
+from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import SourceLocation
 
@@ -36,7 +36,7 @@ class TranscriptionError:
 
     @property
     def cause(self) -> str:
-        """Text of the error, such as metres for millimetres."""
+        """Text of the error, such as "metres for millimetres"."""
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:
@@ -58,7 +58,6 @@ def _length_error(name: str, unit: str, millimetres: float) -> TranscriptionErro
     return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / millimetres, 0.0),))
 
 
-QUARTER_TURN = 0.5 * np.pi
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 
 UNIT_ERRORS = (
@@ -88,9 +87,12 @@ FACE_ERRORS = (
 )
 """Errors of one angle, which is the one of the other face."""
 
-FULL_CIRCLE_RADIANS = 2 * np.pi + 0.01
+MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
+"""Largest angle [rad] of a column that is in radians: a full circle, with a margin for rounding."""
 MIN_DISTANCE_MM = 200.0
+"""Smallest longest distance [mm] of a recording; a smaller one is in metres."""
 MAX_COMPARED_CHORDS = 400
+"""Largest number of lengths between targets that are compared between stations."""
 MIN_WRONG_DISAGREEMENT = 2e-3
 """Relative disagreement of lengths above which a file is wrong."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
@@ -146,14 +148,16 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
     return np.asarray(sums[np.isfinite(sums)])
 
 
-def require_degrees_and_millimetres(measured: Floats, station: Ints, target: Ints, face: Ints, file: object) -> None:
+def require_degrees_and_millimetres(
+    measured_columns: Floats, station: Ints, target: Ints, face: Ints, file: object
+) -> None:
     """Check that the columns are in degrees and millimetres; raises RecordError for another unit or another angle.
 
-    `measured` (n, 3) are distances [mm], azimuths and elevations [deg]. The message names the unit or angle that the
-    column appears to have.
+    `measured_columns` (n, 3) are distances [mm], azimuths and elevations [deg]. The message names the unit or angle
+    that the column appears to have.
     """
-    elevation = measured[:, 2]
-    longest = float(np.nanmax(measured[:, 0], initial=-np.inf))
+    elevation = measured_columns[:, 2]
+    longest = float(np.nanmax(measured_columns[:, 0], initial=-np.inf))
     if -np.inf < longest < MIN_DISTANCE_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
@@ -167,9 +171,9 @@ def require_degrees_and_millimetres(measured: Floats, station: Ints, target: Int
                 "expected elevations in degrees, where they add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
-    _require_not_radians(measured, station, target, file)
+    _require_not_radians(measured_columns, station, target, file)
     _require_consistent_faces(elevation, face, file)
-    readings = measured * [MILLIMETRE, DEGREE, DEGREE]
+    readings = measured_columns * [MILLIMETRE, DEGREE, DEGREE]
     if (error := error_by_lengths(readings, station, target)) is not None:
         message = (
             "two stations disagree on the lengths between their targets, and agree if the column holds "
@@ -190,10 +194,8 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
     """Error of all angles whose correction makes the lengths between targets agree between stations.
 
-    None if there is none.
-
-    `readings` (n, 3) are raw [m, rad, rad]. It is also None if the lengths agree already. Lengths do not reveal a
-    mirrored network.
+    `readings` (n, 3) are raw [m, rad, rad]. None if there is no such error, or the lengths agree already. Lengths do
+    not reveal a mirrored network.
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None
@@ -203,12 +205,12 @@ def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> Transcrip
     return angular[best] if gaps[best] < MAX_RIGHT_DISAGREEMENT else None
 
 
-def _require_not_radians(measured: Floats, station: Ints, target: Ints, file: object) -> None:
-    angles = [a[np.isfinite(a)] for a in measured.T[1:]]
-    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > FULL_CIRCLE_RADIANS:
+def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:
+    angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
+    if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
         return
     wide = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
-    readings = measured * [MILLIMETRE, 1.0, 1.0]
+    readings = measured_columns * [MILLIMETRE, 1.0, 1.0]
     as_radians = length_disagreement(from_polar(readings), station, target)
     as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
     if any(wide) and not as_degrees <= as_radians:

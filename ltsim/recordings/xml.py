@@ -15,7 +15,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAGS
+from ltsim.core.limits import MAX_TAG_ATTRIBUTES, MAX_XML_ATTRIBUTES, MAX_XML_DEPTH, MAX_XML_TAGS
 from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
@@ -49,8 +49,8 @@ class _DepthCheck:
 
     def start(self, _tag: Any, _attributes: Any) -> None:
         self._depth += 1
-        if self._depth > XML_DEPTH:
-            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the limit for reading", file=self._file)
+        if self._depth > MAX_XML_DEPTH:
+            raise RecordError(f"nests elements deeper than {MAX_XML_DEPTH}, the limit for reading", file=self._file)
 
     def end(self, _tag: Any) -> None:
         self._depth -= 1
@@ -64,8 +64,10 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
 
     An attribute cannot contain `<`, so that all attributes of a tag are before the next `<`.
     """
-    if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG_PATTERN.finditer(content)):
-        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the limit for reading", file=file)
+    if any(match[0].count(b"=") > MAX_TAG_ATTRIBUTES for match in _LONG_TAG_PATTERN.finditer(content)):
+        raise RecordError(
+            f"holds a tag with more than {MAX_TAG_ATTRIBUTES} attributes, the limit for reading", file=file
+        )
 
 
 def check_xml_part(content: bytes, file: Path) -> None:
@@ -87,8 +89,8 @@ def parse_xml(path: Path) -> XmlNode:
     Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
     """
     content = read_bytes(path)
-    if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
-        most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
+    if content.count(b"<") > MAX_XML_TAGS or content.count(b"=") > MAX_XML_ATTRIBUTES:
+        most = f"{MAX_XML_TAGS} tags or {MAX_XML_ATTRIBUTES} attributes"
         raise RecordError(f"holds more than {most}, the limit for reading", file=path)
     check_tag_attributes(content, path)
     try:

@@ -27,46 +27,49 @@ CONTENT_SECURITY_POLICY = (
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
 )
 """Content Security Policy of a page: no external resources."""
-Mood = Literal["good", "bad", "plain"]
-Detail = Literal["turn", "plan", "none"]
+Assessment = Literal["good", "bad", "plain"]
+"""Assessment of a result, which determines its colour."""
+WorkshopDetail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
-FOLDED_ROWS = 30
-UNPRINTED_ROWS = 120
-"""Number of rows above which a table is folded, and above which it is not printed (three pages)."""
-TERMINAL_ROWS = 8
-TERMINAL_WIDTH = 160
-"""Number of rows of a folded table on a terminal, and largest width of a table there [characters]."""
+MAX_UNFOLDED_ROWS = 30
+"""Number of rows above which a table on a page starts folded."""
+MAX_PRINTED_ROWS = 120
+"""Number of rows above which a table is not printed on paper (three pages)."""
+MAX_TERMINAL_ROWS = 8
+"""Number of rows of a folded table that a terminal prints."""
+MAX_TERMINAL_WIDTH = 160
+"""Largest width of a table on a terminal [characters]; a wider one is printed as one line per row."""
 
 
 @dataclass(frozen=True)
 class ReportContext:
     """Folder and recording of a result, and the level of detail of its section.
 
-    A `brief` section leaves residuals to another one.
+    A `is_brief` section leaves residuals to another one.
     """
 
     folder: Path | None = None
     recording: Recording | None = None
-    detail: Detail = "none"
-    brief: bool = False
+    detail: WorkshopDetail = "none"
+    is_brief: bool = False
 
-    def file(self, name: str, content: ResultFile) -> Path | None:
+    def companion_file(self, name: str, content: ResultFile) -> Path | None:
         """Companion file of a result; None if it does not exist; raises RecordError if it belongs to another result."""
         return None if self.folder is None else companion_path(self.folder, name, content)
 
 
-def mood(good: bool) -> Mood:
-    """Mood `good` or `bad` for a flag."""
-    return "good" if good else "bad"
+def assessment_of(is_good: bool) -> Assessment:
+    """Mood `is_good` or `bad` for a flag."""
+    return "good" if is_good else "bad"
 
 
 @dataclass(frozen=True)
-class Fact:
+class KeyFigure:
     """Key figure of a section."""
 
     name: str
     value: str
-    mood: Mood = "plain"
+    assessment: Assessment = "plain"
 
 
 @dataclass(frozen=True)
@@ -78,43 +81,43 @@ class TableBlock:
     rows: Sequence[Sequence[str]]
     text_columns: int = 1
     note: str = ""
-    marked: frozenset[int] = frozenset()
+    marked_rows: frozenset[int] = frozenset()
     meanings: Sequence[str] = ()
-    folds: bool = True
+    is_foldable: bool = True
     """True if the table is folded when it is long; False for a table that is the product."""
     kind: Literal["table"] = "table"
 
     @property
-    def endless(self) -> bool:
+    def is_too_long_to_print(self) -> bool:
         """True if the table is too long to print."""
-        return len(self.rows) > UNPRINTED_ROWS
+        return len(self.rows) > MAX_PRINTED_ROWS
 
     @property
-    def long(self) -> bool:
+    def is_folded(self) -> bool:
         """True if the table starts folded."""
-        return len(self.rows) > FOLDED_ROWS and self.folds
+        return len(self.rows) > MAX_UNFOLDED_ROWS and self.is_foldable
 
 
 @dataclass(frozen=True)
-class Picture:
+class PictureBlock:
     """Figure or SVG with a caption, which is also its alternative text; drawn on first use."""
 
     title: str
-    draw: Callable[[], Figure | str]
+    draw_figure: Callable[[], Figure | str]
     caption: str
     kind: Literal["picture"] = "picture"
 
     @cached_property
-    def uri(self) -> str:
+    def data_uri(self) -> str:
         """Picture as a `data:` URI."""
-        from ltsim.reports.style import svg, svg_uri
+        from ltsim.reports.style import svg_data_uri, svg_text
 
-        drawn = self.draw()
-        return svg_uri(drawn if isinstance(drawn, str) else svg(drawn))
+        drawn = self.draw_figure()
+        return svg_data_uri(drawn if isinstance(drawn, str) else svg_text(drawn))
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneBlock:
     """3D view: a picture, and the interactive page that it opens."""
 
     title: str
@@ -124,24 +127,24 @@ class Scene:
     kind: Literal["scene"] = "scene"
 
     @property
-    def packed(self) -> str:
+    def page_gzip_base64(self) -> str:
         """Interactive page as gzip in base64, unpacked by the browser."""
         return base64.b64encode(gzip.compress(self.page.encode(), mtime=0)).decode()
 
 
 @dataclass(frozen=True)
-class Note:
+class NoteBlock:
     """Paragraph with a heading."""
 
     title: str
     text: str
-    mood: Mood = "plain"
+    assessment: Assessment = "plain"
     kind: Literal["note"] = "note"
 
 
 @dataclass(frozen=True)
 class CodeBlock:
-    """Preformatted text, such as settings; folded."""
+    """Preformatted text, such as settings; it starts folded on the page."""
 
     title: str
     text: str
@@ -149,7 +152,7 @@ class CodeBlock:
 
 
 @dataclass(frozen=True)
-class BulletList:
+class BulletListBlock:
     """Bullet list of sentences."""
 
     title: str
@@ -157,80 +160,82 @@ class BulletList:
     kind: Literal["points"] = "points"
 
 
-Block = BulletList | TableBlock | Picture | Scene | Note | CodeBlock
+Block = BulletListBlock | TableBlock | PictureBlock | SceneBlock | NoteBlock | CodeBlock
 
 
 @dataclass(frozen=True)
 class Section:
-    """Section of a page: one result of one folder; `answer` is its first sentence.
+    """Section of a page: one result of one folder; `summary` is its first sentence.
 
-    `notice` comes before the answer and states that the data are simulated.
+    `simulation_notice` comes before the answer and states that the data are simulated.
 
     `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
-    `shown` blocks are open, the others are details; the first `lead` blocks are side by side at the head of the page. A
-    terminal prints the first `terminal_blocks`, or all.
+    `n_open_blocks` blocks are open, the others are details; the first `n_lead_blocks` blocks are side by side at the
+    head of the page. A terminal prints the first `n_terminal_blocks`, or all.
     """
 
     title: str
     kind: str
-    answer: str
-    mood: Mood = "plain"
-    facts: Sequence[Fact] = ()
+    summary: str
+    assessment: Assessment = "plain"
+    key_figures: Sequence[KeyFigure] = ()
     blocks: Sequence[Block] = ()
     folder: str = ""
-    actions: Sequence[str] = ()
+    next_actions: Sequence[str] = ()
     seed: str = ""
     versions: Sequence[tuple[str, str]] = ()
     axes: str = ""
     instrument: str = ""
-    measured: str = ""
-    shown: int = 3
-    lead: int = 0
-    terminal_blocks: int | None = None
-    notice: str = ""
+    measured_on: str = ""
+    n_open_blocks: int = 3
+    n_lead_blocks: int = 0
+    n_terminal_blocks: int | None = None
+    simulation_notice: str = ""
 
-    def text(self) -> str:
+    def terminal_text(self) -> str:
         """Text for a terminal: answer, facts, sentences, tables, next actions."""
-        facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        parts = [self.notice, self.answer, facts, *map(_as_text, self.blocks[: self.terminal_blocks])]
-        parts += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
+        facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.key_figures)
+        parts = [self.simulation_notice, self.summary, facts, *map(_block_text, self.blocks[: self.n_terminal_blocks])]
+        parts += (
+            ["\n".join(["What to do next:", *(f"- {line}" for line in self.next_actions)])] if self.next_actions else []
+        )
         return "\n\n".join(filter(None, parts))
 
 
 @dataclass(frozen=True)
 class Document:
-    """Content of the page: header lines, headline `verdict`, sentence `answer`, next actions, sections."""
+    """Content of the page: header lines, headline `headline`, sentence `summary`, next actions, sections."""
 
     title: str
-    answer: str
-    mood: Mood
+    summary: str
+    assessment: Assessment
     sections: Sequence[Section] = ()
     versions: Sequence[tuple[str, str]] = ()
-    about: Sequence[tuple[str, str]] = ()
-    verdict: str = ""
-    actions: Sequence[str] = ()
-    notice: str = ""
+    header_lines: Sequence[tuple[str, str]] = ()
+    headline: str = ""
+    next_actions: Sequence[str] = ()
+    simulation_notice: str = ""
 
 
-def _as_text(block: Block) -> str:
+def _block_text(block: Block) -> str:
     """Text of a block for a terminal; empty for pictures and settings."""
     match block:
-        case Note():
+        case NoteBlock():
             return f"{block.title}: {block.text}" if block.title else block.text
-        case BulletList():
+        case BulletListBlock():
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
         case TableBlock():
-            rows = block.rows[:TERMINAL_ROWS] if block.long else block.rows
-            lines = [f"{block.title}:", _lines(replace(block, rows=rows))]
-            lines += [f"and {len(block.rows) - TERMINAL_ROWS} more"] if block.long else []
+            rows = block.rows[:MAX_TERMINAL_ROWS] if block.is_folded else block.rows
+            lines = [f"{block.title}:", _table_text(replace(block, rows=rows))]
+            lines += [f"and {len(block.rows) - MAX_TERMINAL_ROWS} more"] if block.is_folded else []
             return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 
 
-def _lines(table: TableBlock) -> str:
+def _table_text(table: TableBlock) -> str:
     """Text of a table in columns, or in one line per row if it is too wide."""
     text = align_columns(table.header, table.rows, table.text_columns)
-    if max(map(len, text.split("\n"))) <= TERMINAL_WIDTH:
+    if max(map(len, text.split("\n"))) <= MAX_TERMINAL_WIDTH:
         return text
     heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
     rows = (
@@ -240,13 +245,13 @@ def _lines(table: TableBlock) -> str:
     return "\n".join(f"- {'; '.join(row)}" for row in rows)
 
 
-def table_of(
+def entries_table(
     title: str,
     entries: Iterable[Any],
     *fields: str,
     note: str = "",
-    marked: Callable[[Any], bool] | None = None,
-    folds: bool = True,
+    is_marked: Callable[[Any], bool] | None = None,
+    is_foldable: bool = True,
 ) -> list[TableBlock]:
     """Table of entries of a result file, with meanings and units of their model; empty list without entries.
 
@@ -263,15 +268,24 @@ def table_of(
         about = descriptions(type(rows[0])).get(name, "")
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
-    cells = [[_joined(getattr(row, column.name)) for column in columns] for row in rows]
-    chosen = frozenset(i for i, row in enumerate(rows) if marked is not None and marked(row))
+    cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in rows]
+    chosen = frozenset(i for i, row in enumerate(rows) if is_marked is not None and is_marked(row))
     return table_block(
-        title, results.Table("", "", tuple(columns)).filled(cells), note=note, marked=chosen, folds=folds
+        title,
+        results.Table("", "", tuple(columns)).with_rows(cells),
+        note=note,
+        marked_rows=chosen,
+        is_foldable=is_foldable,
     )
 
 
 def table_block(
-    title: str, table: results.Table, *, note: str = "", marked: frozenset[int] = frozenset(), folds: bool = True
+    title: str,
+    table: results.Table,
+    *,
+    note: str = "",
+    marked_rows: frozenset[int] = frozenset(),
+    is_foldable: bool = True,
 ) -> list[TableBlock]:
     """Table of a result as a block, text flush left, numbers flush right; empty list without rows."""
     if not table.rows:
@@ -280,10 +294,10 @@ def table_block(
     words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
     text_columns = words.index(False) if False in words else len(words)
     meanings = [table.meanings.get(head, "") for head in heads]
-    return [TableBlock(title, heads, table.cells(), text_columns, note, marked, meanings, folds)]
+    return [TableBlock(title, heads, table.cells(), text_columns, note, marked_rows, meanings, is_foldable)]
 
 
-def _joined(value: Any) -> Any:
+def _cell_text(value: Any) -> Any:
     """Text of a list in one cell."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value

@@ -18,12 +18,12 @@ from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.result_file import read_json, recording_digest
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import CONTENT_SECURITY_POLICY, Detail, Document, ReportContext, Section
-from ltsim.reports.sections import WRITERS, content_of, section_of
-from ltsim.reports.sections.network import TRUTH, recording_section
-from ltsim.reports.words import natural, typeset
+from ltsim.reports.document import CONTENT_SECURITY_POLICY, Document, ReportContext, Section, WorkshopDetail
+from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
+from ltsim.reports.sections.network import TRUTH_FILE, recording_section
+from ltsim.reports.words import natural_sort_key, typographic_text
 
-MAX_ACTIONS = 3
+MAX_PAGE_ACTIONS = 3
 """Largest number of next actions at the head of a page."""
 
 
@@ -49,43 +49,53 @@ HEADLINES = {
 """Headline of a page by kind of result and verdict."""
 
 
-NAME = "report.html"
-MANIFEST = "manifest.json"
-HEADS = ("diagnosis.json", "calibration.json")
-UNREADABLE = "Not readable"
+PAGE_FILE = "report.html"
+"""Name of the page in a folder."""
+CAMPAIGN_MANIFEST = "manifest.json"
+"""Name of the file that identifies the folder of a campaign."""
+HEADLINE_FILES = ("diagnosis.json", "calibration.json")
+"""Results that determine the headline of a page before all others."""
+UNREADABLE_KIND = "Not readable"
+"""Kind of a section whose folder cannot be read."""
 
 
 @dataclass(frozen=True)
 class PagePart:
-    """Folder, kind and recording of a section; a `brief` section leaves details of the recording to another one."""
+    """Folder, kind and recording of a section; a `is_brief` section leaves details of the recording to another one."""
 
     folder: Path
-    kind: str
+    result_file: str
     recording: Path | None
-    brief: bool = False
+    is_brief: bool = False
 
 
-KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS_FILE, *(k for k in WRITERS if k not in HEADS), MANIFEST)
+RESULT_FILES = (
+    "diagnosis.json",
+    "calibration.json",
+    OBSERVATIONS_FILE,
+    *(k for k in SECTION_WRITERS if k not in HEADLINE_FILES),
+    CAMPAIGN_MANIFEST,
+)
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
-def section(part: PagePart, detail: Detail = "none") -> Section:
+def section_of_part(part: PagePart, detail: WorkshopDetail = "none") -> Section:
     """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
-    if part.kind == OBSERVATIONS_FILE:
-        return recording_section(part.folder, detail=detail, brief=part.brief)
-    if part.kind == MANIFEST:
+    if part.result_file == OBSERVATIONS_FILE:
+        return recording_section(part.folder, detail=detail, is_brief=part.is_brief)
+    if part.result_file == CAMPAIGN_MANIFEST:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 
         return campaign_section(part.folder)
-    content = content_of(part.folder, part.kind)
+    content = read_content(part.folder, part.result_file)
     recording = read(part.recording) if part.recording else None
-    made = section_of(content, ReportContext(part.folder, recording, detail, part.brief))
-    return replace(made, measured=(content.recording and content.recording.measured) or made.measured)
+    made = result_section(content, ReportContext(part.folder, recording, detail, part.is_brief))
+    return replace(made, measured_on=(content.recording and content.recording.measured) or made.measured_on)
 
 
-def document(
-    folder: Path, *, recording: Path | None = None, title: str | None = None, about: About | None = None
+def document_of_folder(
+    folder: Path, *, recording: Path | None = None, title: str | None = None, header: About | None = None
 ) -> Document:
     """Document of the page of a folder.
 
@@ -96,31 +106,31 @@ def document(
     """
     if not folder.is_dir():
         raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
-    parts = _parts(folder, recording)
-    sections = [replace(made, folder=part.folder.name) for part, made in _sections(parts, folder)]
-    sections.sort(key=lambda made: made.kind == UNREADABLE)
+    parts = _page_parts(folder, recording)
+    sections = [replace(made, folder=part.folder.name) for part, made in _part_sections(parts, folder)]
+    sections.sort(key=lambda made: made.kind == UNREADABLE_KIND)
     first = sections[0]
     return Document(
         title=title or first.title,
-        answer=first.answer,
-        mood=first.mood,
+        summary=first.summary,
+        assessment=first.assessment,
         sections=sections,
-        versions=versions(),
-        about=_about(parts, sections, about or About()),
-        verdict=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.mood), ""),
-        actions=_actions(sections),
-        notice=first.notice,
+        versions=package_versions(),
+        header_lines=_header_lines(parts, sections, header or About()),
+        headline=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.assessment), ""),
+        next_actions=_page_actions(sections),
+        simulation_notice=first.simulation_notice,
     )
 
 
-def _actions(sections: list[Section]) -> list[str]:
+def _page_actions(sections: list[Section]) -> list[str]:
     """Next actions of the section that heads the page, else of the first one with the same verdict."""
     first = sections[0]
-    chosen = next((s for s in sections if s.actions and s.mood == first.mood), first)
-    return list(dict.fromkeys(first.actions or chosen.actions))[:MAX_ACTIONS]
+    chosen = next((s for s in sections if s.next_actions and s.assessment == first.assessment), first)
+    return list(dict.fromkeys(first.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
 
 
-def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
+def _header_lines(parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP_FILE) for place in folders if (place / SETUP_FILE).is_file()]
@@ -128,84 +138,87 @@ def _about(parts: list[PagePart], sections: list[Section], given: About) -> list
     instruments = "; ".join(
         dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
     )
-    days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
+    days = ", ".join(dict.fromkeys(s.measured_on[:10] for s in sections if s.measured_on))
     fallback = {"instrument": instruments, "date": days}
     lines = []
     for key in About.model_fields:
-        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in reports]
+        values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
         lines += [(key, text)] if text else []
     axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
     return [*lines, *([("axes", axes)] if axes else [])]
 
 
-def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
-    inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
+def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
+    inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     parts = [
-        PagePart(place, kind, recording or _recording_of(place, folder))
-        for kind in KINDS
+        PagePart(place, kind, recording or _recording_folder(place, folder))
+        for kind in RESULT_FILES
         for place in (folder, *inner)
         if (place / kind).is_file()
     ]
     if not parts:
-        raise RecordError(f"the folder contains no results; expected one of {', '.join(KINDS)}", file=folder)
-    digests = [_digest(part) for part in parts]
+        raise RecordError(f"the folder contains no results; expected one of {', '.join(RESULT_FILES)}", file=folder)
+    digests = [_recording_digest(part) for part in parts]
     near = {digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording}
     parts = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, parts, strict=True)]
     used = Counter(part.recording for part in parts)
-    diagnosed = {part.recording for part in parts if part.kind == "diagnosis.json"} - {None}
+    diagnosed = {part.recording for part in parts if part.result_file == "diagnosis.json"} - {None}
     return [
-        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS_FILE else part.recording in diagnosed)
+        replace(
+            part,
+            is_brief=used[part.recording] > 1 if part.result_file == OBSERVATIONS_FILE else part.recording in diagnosed,
+        )
         for part in parts
     ]
 
 
-def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Section]]:
+def _part_sections(parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
     """Parts with their sections; the first recording is shown in 3D, others from above.
 
     The recording of a diagnosis alone is also shown from above, unless there is a truth, to keep its page small. A
-    folder in `top` that cannot be read becomes a section with the error, unless it is the only one.
+    folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only one.
     """
     shown: set[Path | str | None] = set()
-    flat = (top / "diagnosis.json").is_file() and not (top / TRUTH).is_file()
+    flat = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
     for part in parts:
-        source = part.recording or _digest(part)
-        detail: Detail = "none" if source in shown and source else "plan" if shown or flat else "turn"
+        source = part.recording or _recording_digest(part)
+        detail: WorkshopDetail = "none" if source in shown and source else "plan" if shown or flat else "turn"
         try:
-            made = section(part, detail)
+            made = section_of_part(part, detail)
         except LtsimError as problem:
-            if part.folder == top or len(parts) == 1:
+            if part.folder == page_folder or len(parts) == 1:
                 raise
-            made = Section(part.folder.name, UNREADABLE, str(problem), "bad")
+            made = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
         if {block.title for block in made.blocks} & {"Floor plan", "The workshop in 3D"}:
             shown.add(source)
         yield part, made
 
 
-def _digest(part: PagePart) -> str:
+def _recording_digest(part: PagePart) -> str:
     """Digest of the recording of a part; empty if a result names none."""
     try:
-        if part.kind == OBSERVATIONS_FILE:
+        if part.result_file == OBSERVATIONS_FILE:
             return recording_digest(read(part.folder))
-        named = read_json(part.folder / part.kind, "result")["recording"]["digest"]
+        named = read_json(part.folder / part.result_file, "result")["recording"]["digest"]
     except (LtsimError, KeyError, TypeError, OSError):
         return ""
     return str(named)
 
 
-def render(content: Document) -> str:
+def page_html(document: Document) -> str:
     """HTML of the page; all texts are escaped."""
     loader = PackageLoader("ltsim.reports")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters["print"] = typeset
+    environment.filters["print"] = typographic_text
     environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     assets = {"style": Markup(palette + style), "script": Markup(script)}
-    return environment.get_template("page.html.j2").render(document=content, policy=CONTENT_SECURITY_POLICY, **assets)
+    return environment.get_template("page.html.j2").render(document=document, policy=CONTENT_SECURITY_POLICY, **assets)
 
 
-def versions() -> list[tuple[str, str]]:
+def package_versions() -> list[tuple[str, str]]:
     """Versions of the packages that made the page."""
     entries = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
@@ -216,9 +229,9 @@ def versions() -> list[tuple[str, str]]:
     return entries
 
 
-def _recording_of(place: Path, top: Path) -> Path | None:
+def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
     """Folder of the recording of the results in a folder, searched in and next to it."""
-    for candidate in (place, place / "recording", place.parent / "recording", top):
+    for candidate in (result_folder, result_folder / "recording", result_folder.parent / "recording", page_folder):
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()
     return None

@@ -34,17 +34,18 @@ from ltsim.reports.figures.parameters import (
     parameter_figure,
     values_figure,
 )
-from ltsim.reports.figures.points import check_figure, displacement_figure, shares_of_limits
-from ltsim.reports.figures.residuals import residuals_by_covariate, residuals_by_station
+from ltsim.reports.figures.points import check_figure, displacement_figure, error_to_limit_figure
+from ltsim.reports.figures.residuals import residuals_by_covariate_figure, residuals_by_station_figure
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.sections.diagnosis import finding_drawing
-from ltsim.reports.sections.plain import budget_of
+from ltsim.reports.sections.diagnosis import finding_figure
+from ltsim.reports.sections.plain import uncertainty_budget_figure
 from ltsim.reports.verbs import View
-from ltsim.reports.workshop import from_recording, from_scenario
+from ltsim.reports.workshop import workshop_from_recording, workshop_from_scenario
 from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
-MAX_PROPOSALS = 12
+MAX_DRAWN_PROPOSALS = 12
+"""Largest number of proposed measurements in a figure."""
 
 
 @singledispatch
@@ -59,12 +60,12 @@ def figure_of(result: Result) -> Figure:
 
 figure_of.register(Check, check_figure)
 figure_of.register(Comparison, displacement_figure)
-figure_of.register(AcceptanceFile, shares_of_limits)
-figure_of.register(Scenario, lambda result: floor_plan(from_scenario(result)))
-figure_of.register(Recording, lambda result: floor_plan(from_recording(result)))
+figure_of.register(AcceptanceFile, error_to_limit_figure)
+figure_of.register(Scenario, lambda result: floor_plan(workshop_from_scenario(result)))
+figure_of.register(Recording, lambda result: floor_plan(workshop_from_recording(result)))
 figure_of.register(View, lambda result: floor_plan(result.workshop))
-figure_of.register(Adjustment, lambda result: residuals_by_station(Residuals.from_adjustment(result)))
-figure_of.register(Uncertainty, budget_of)
+figure_of.register(Adjustment, lambda result: residuals_by_station_figure(Residuals.from_adjustment(result)))
+figure_of.register(Uncertainty, uncertainty_budget_figure)
 
 
 @figure_of.register
@@ -86,12 +87,12 @@ def _(result: Criteria) -> Figure:
 @figure_of.register
 def _(result: Diagnosis) -> Figure:
     """Figure of a diagnosis: the curve or residuals of the first finding; for a consistent recording its residuals."""
-    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline_adjustment, result.final_adjustment))
     for finding in result.findings[:1]:
-        draw = finding_drawing(finding, before, after)
+        draw = finding_figure(finding, before, after)
         if draw is not None:
             return draw()
-    return residuals_by_covariate(after)
+    return residuals_by_covariate_figure(after)
 
 
 @figure_of.register
@@ -105,7 +106,9 @@ def _(result: History) -> Figure:
 def _(result: Plan) -> Figure:
     """Figure of a plan: the floor with the chosen layout, as in floor.png of a plan's folder."""
     network = result.network
-    return floor_plan(from_scenario(scenario_of_plan(network)), coordinates=True, ground=network.plan_file.floor)
+    return floor_plan(
+        workshop_from_scenario(scenario_of_plan(network)), lists_coordinates=True, floor=network.plan_file.floor
+    )
 
 
 @figure_of.register
@@ -143,12 +146,12 @@ def _(result: Recovery) -> Figure:
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.parameter_names, ends, strict=True)}
     label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
-    return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
+    return values_figure(rows, label, reference_values={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MAX_PROPOSALS]}
+    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 
@@ -160,7 +163,7 @@ def _(result: NewPointErrors) -> Figure:
         "as read": [example.raw_rms / MICROMETRE],
         "by the true parameters": [example.true_parameters_rms / MICROMETRE],
     }
-    return values_figure(rows, "error of a new point [um]", marks=ends)
+    return values_figure(rows, "error of a new point [um]", reference_values=ends)
 
 
 @figure_of.register
@@ -176,5 +179,5 @@ def _(result: PairedDifferences) -> Figure:
     first = result.entries[0]
     unit = f" [{first.unit}]" if first.unit else ""
     return values_figure(
-        rows, f"{first.first} less {first.second}{unit}, 95 % interval", marks={"no difference": [0.0]}
+        rows, f"{first.first} less {first.second}{unit}, 95 % interval", reference_values={"no difference": [0.0]}
     )

@@ -18,48 +18,51 @@ from ltsim.core.units import DEGREE, SI_PER_UNIT
 from ltsim.recordings.files import quoted_text, read_text
 from ltsim.recordings.recording import OBSERVABLES
 
-Names = NDArray[np.str_]
+NameArray = NDArray[np.str_]
+"""Array of names."""
 
-OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
-USUAL = ("azimuth", "elevation", "distance", "time", "row")
+OBSERVABLE_UNITS = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
+"""Display unit of each observable."""
+DEFAULT_COVARIATES = ("azimuth", "elevation", "distance", "time", "row")
 """Covariates of every recording; the time is used if there is a clock, otherwise the row."""
-COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
+COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
+"""Display unit of each covariate."""
 
 
 @dataclass(frozen=True)
 class Residuals:
     """Residuals, observed minus adjusted, one row per observation."""
 
-    row: Ints
+    data_row: Ints
     """Data row of the recording, from 1, (n,)."""
-    station: Names
-    target: Names
+    station: NameArray
+    target: NameArray
     """Names of station and target, (n,) each."""
     observable: Ints
     """Index into `OBSERVABLES`, (n,)."""
     residual: Floats
     """Residual, (n,), in um for a distance and in arcsec for an angle."""
-    w: Floats
+    normalised_residual: Floats
     """Normalised residual, standard normal where the model holds, (n,)."""
     redundancy: Floats
     """Redundancy of each observation, (n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Covariates by name, (n,) each, in the units of `COVARIATE_UNIT`."""
+    """Covariates by name, (n,) each, in the units of `COVARIATE_UNITS`."""
 
     def __len__(self) -> int:
-        return len(self.row)
+        return len(self.data_row)
 
     @property
     def stations(self) -> list[str]:
         """Names of the stations in the order of their appearance."""
         return list(dict.fromkeys(self.station.tolist()))
 
-    def of(self, observable: str) -> Bools:
+    def is_observable(self, observable: str) -> Bools:
         """Mask (n,) of the rows of an observable."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
-    def order(self) -> str:
+    def order_covariate(self) -> str:
         """Covariate of the order of measurement: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
@@ -67,9 +70,9 @@ class Residuals:
     def sigma(self) -> Floats:
         """Standard deviations (n,) of the readings, from which the residuals were normalised."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
+            return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
-    def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+    def is_at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """Mask (n,) of the rows at the given stations and targets; an empty tuple means all."""
         inside = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
@@ -79,22 +82,22 @@ class Residuals:
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
-        """Residuals of a table `RESIDUALS`; raises RecordError for an invalid observable or unit."""
+        """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit."""
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
                 message = f"'{quoted_text(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
-        scale = np.array([SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
+        scale = np.array([SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNITS[o]] for o, u in zip(names, units, strict=True)])
         row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
         return cls(
-            row=row.astype(np.int64),
+            data_row=row.astype(np.int64),
             station=np.array(table.column("station"), dtype=np.str_),
             target=np.array(table.column("target"), dtype=np.str_),
             observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
             residual=residual * scale,
-            w=w,
+            normalised_residual=w,
             redundancy=redundancy,
             covariates={"row": row},
         )
@@ -104,16 +107,16 @@ class Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
         recording, use = adjustment.recording, adjustment.problem.used_readings
         rows, observable = np.nonzero(use)
-        unit = np.array([SI_PER_UNIT[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
+        unit = np.array([SI_PER_UNIT[OBSERVABLE_UNITS[name]] for name in OBSERVABLES])
         return cls(
-            row=rows + 1,
+            data_row=rows + 1,
             station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
             target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
             observable=observable,
             residual=(adjustment.residuals / unit)[use],
-            w=adjustment.normalised_residuals[use],
+            normalised_residual=adjustment.normalised_residuals[use],
             redundancy=adjustment.redundancy[use],
-            covariates=_geometry(adjustment, rows),
+            covariates=_geometric_covariates(adjustment, rows),
         )
 
     @classmethod
@@ -125,24 +128,24 @@ class Residuals:
         """The residuals with the covariates of the same observations in `other`, if given."""
         if other is None:
             return self
-        at = self._places_in(other)
+        at = self._indices_in(other)
         covariates = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
         return replace(self, covariates=covariates)
 
-    def by_noise_of(self, other: Residuals) -> Residuals:
+    def normalised_by_noise_of(self, other: Residuals) -> Residuals:
         """The residuals, normalised by the standard deviations of `other`."""
-        sigma = np.append(other.sigma, np.nan)[self._places_in(other)]
+        sigma = np.append(other.sigma, np.nan)[self._indices_in(other)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return replace(self, w=self.residual / (sigma * np.sqrt(self.redundancy)))
+            return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
-    def _places_in(self, other: Residuals) -> Ints:
+    def _indices_in(self, other: Residuals) -> Ints:
         """Indices (n,) of the same observations in `other`; -1 if missing."""
-        place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
-        keys = zip(self.row.tolist(), self.observable.tolist(), strict=True)
+        place = {key: i for i, key in enumerate(zip(other.data_row.tolist(), other.observable.tolist(), strict=True))}
+        keys = zip(self.data_row.tolist(), self.observable.tolist(), strict=True)
         return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
 
 
-def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
+def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     sightings, clock = adjustment.sightings, adjustment.recording.has_clock
     covariates = {
         "azimuth": sightings.azimuth[rows] / DEGREE,

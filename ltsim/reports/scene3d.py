@@ -17,115 +17,121 @@ from ltsim.core.units import DEGREE
 from ltsim.reports import style
 from ltsim.reports.workshop import PlacedWorkshop
 
-WALL = "#D5DBE0"
-FLOOR = "#E3E7EA"
-LEG = "#5C6166"
-MAX_ARROWS = 300
-MAX_METRES = 200
-MAX_HIDDEN = 4
+WALL_COLOUR = "#D5DBE0"
+FLOOR_COLOUR = "#E3E7EA"
+TRIPOD_LEG_COLOUR = "#5C6166"
+MAX_DRAWN_ARROWS = 300
+MAX_METRE_LINES = 200
+"""Largest number of metre lines on the floor; a larger hall has none."""
+MAX_OMITTED_NAMES = 4
 """Largest number of omitted names that the legend lists."""
-MAX_LABELS = 60
-FEW_SPHERES = 150
-MANY_SPHERES = 600
-"""Numbers of spheres above which they are drawn with fewer facets."""
-LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
+MAX_TARGET_LABELS = 60
+"""Largest number of targets whose names are drawn."""
+MAX_FINE_SPHERES = 150
+"""Number of spheres above which they are drawn with fewer facets."""
+MAX_MEDIUM_SPHERES = 600
+"""Number of spheres above which they are drawn with the fewest facets."""
+SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
+"""Colour map of lines of sight."""
 
 vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning about a missing display
 
 
 @dataclass(frozen=True)
-class Legend:
+class SceneLegend:
     """Legend of a scene: lines of text, and colour bar.
 
-    `bar` is label, lowest and highest value of the coloured lines; None without them.
+    `colour_bar` is label, lowest and highest value of the coloured lines; None without them.
     """
 
     lines: tuple[str, ...]
-    bar: tuple[str, float, float] | None = None
+    colour_bar: tuple[str, float, float] | None = None
 
 
-def round_magnification(length: float, shown: float) -> float:
-    """Magnification of `length` to about `shown`: 1, 2 or 5 times a power of ten."""
+def round_magnification(length: float, drawn_length: float) -> float:
+    """Magnification of `length` to about `drawn_length`: 1, 2 or 5 times a power of ten."""
     if not length > 0:
         return 1.0
-    ratio = shown / length
+    ratio = drawn_length / length
     power = 10.0 ** np.floor(np.log10(ratio))
     step = max(s for s in (1.0, 2.0, 5.0) if s <= ratio / power * (1 + 1e-9))
     return float(max(step * power, 1.0))
 
 
-def times(scale: float) -> str:
+def magnification_text(magnification: float) -> str:
     """Text of a magnification."""
-    return f"{scale:,.0f}".replace(",", " ")
+    return f"{magnification:,.0f}".replace(",", " ")
 
 
 Camera = Sequence[Sequence[float]]
 """Camera: position and focal point [m], and up direction."""
 
 
-def build(
+def build_scene(
     workshop: PlacedWorkshop,
     *,
     window_size: tuple[int, int] = (1400, 1000),
     off_screen: bool = True,
     camera: Camera | None = None,
-) -> tuple[pv.Plotter, Legend]:
+) -> tuple[pv.Plotter, SceneLegend]:
     """Plotter with the whole scene, and its legend; size in pixels, `off_screen=False` for a window."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
-    _surroundings(plotter, workshop)
+    _draw_surroundings(plotter, workshop)
     lines: list[str] = []
-    bar = _sights(plotter, workshop)
-    _shadows(plotter, workshop, lines)
-    _targets(plotter, workshop)
-    _stations(plotter, workshop)
-    _uncertainty(plotter, workshop, lines)
-    _corrections(plotter, workshop, lines)
+    bar = _draw_sights(plotter, workshop)
+    _draw_shadow_cones(plotter, workshop, lines)
+    _draw_targets(plotter, workshop)
+    _draw_stations(plotter, workshop)
+    _draw_uncertainty_ellipsoids(plotter, workshop, lines)
+    _draw_correction_arrows(plotter, workshop, lines)
     lines.extend(workshop.notes)
-    _camera(plotter, workshop)
+    _place_camera(plotter, workshop)
     if camera is not None:
         plotter.camera_position = [tuple(v) for v in camera]
-    _names(plotter, workshop, lines)
-    return plotter, Legend(tuple(lines), bar)
+    _draw_names(plotter, workshop, lines)
+    return plotter, SceneLegend(tuple(lines), bar)
 
 
-def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+def scene_png(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """PNG of the scene with its legend."""
-    plotter, legend = build(workshop, window_size=window_size)
+    plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()
-    taken(plotter).save(stream, format="PNG")
+    capture_and_close(plotter).save(stream, format="PNG")
     return stream.getvalue()
 
 
-def taken(plotter: pv.Plotter) -> Image.Image:
+def capture_and_close(plotter: pv.Plotter) -> Image.Image:
     """Image of the scene of a plotter, which is closed."""
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return Image.fromarray(np.asarray(image))
 
 
-def show(workshop: PlacedWorkshop) -> None:
+def show_window(workshop: PlacedWorkshop) -> None:
     """Open a window; returns when it is closed."""
-    plotter, legend = build(workshop, off_screen=False)
+    plotter, legend = build_scene(workshop, off_screen=False)
     write_legend(plotter, workshop.title, legend)
     plotter.show()
 
 
-def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
+def write_legend(plotter: pv.Plotter, title: str, legend: SceneLegend) -> None:
     """Draw title, legend and colour bar on a picture."""
     if title:
-        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK, shadow=False)
+        plotter.add_text(
+            title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK_COLOUR, shadow=False
+        )
     text = "\n".join(legend.lines)
     if text:
         actor = plotter.add_text(
-            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=style.INK
+            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=style.INK_COLOUR
         )
         actor.prop.SetLineSpacing(1.35)
-    if legend.bar is not None:
+    if legend.colour_bar is not None:
         plotter.add_scalar_bar(  # type: ignore[call-arg]
-            title=legend.bar[0] + "\n",
-            color=style.INK,
+            title=legend.colour_bar[0] + "\n",
+            color=style.INK_COLOUR,
             position_x=0.6,
             position_y=0.02,
             width=0.33,
@@ -138,24 +144,24 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
         )
 
 
-def _surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
-    plotter.add_mesh(_polygon(corners), color=FLOOR, lighting=False, name="floor")
+    plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
     ends = workshop.floor.min(axis=0), workshop.floor.max(axis=0)
     metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
-    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRES:
+    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRE_LINES:
         grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.walls):
-        plotter.add_mesh(_polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
+        plotter.add_mesh(_polygon_mesh(wall), color=WALL_COLOUR, opacity=0.55, lighting=False, name=f"wall-{i}")
     if len(workshop.obstacles):
         corners = workshop.obstacles.reshape(-1, 3)
         stand = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
         plotter.add_mesh(stand, color="#B9A98C", name="obstacles")
 
 
-def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
+def _draw_sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
     """Draw lines of sight, one per pair, coloured by the largest value of the pair; returns the colour bar."""
     sights = workshop.sights
     if sights is None or not len(sights.station):
@@ -163,14 +169,16 @@ def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, 
     pairs, place = np.unique(np.stack([sights.station, sights.target], axis=1), axis=0, return_inverse=True)
     value = np.full(len(pairs), -np.inf)
     np.maximum.at(value, place.ravel(), sights.value)
-    ends = np.stack([workshop.position[pairs[:, 0]], workshop.points[pairs[:, 1]]], axis=1).reshape(-1, 3)
+    ends = np.stack([workshop.station_positions[pairs[:, 0]], workshop.target_points[pairs[:, 1]]], axis=1).reshape(
+        -1, 3
+    )
     mesh = pv.line_segments_from_points(ends)
     mesh.cell_data["value"] = value
     low, high = float(value.min()), float(value.max())
     plotter.add_mesh(
         mesh,
         scalars="value",
-        cmap=LINES,
+        cmap=SIGHT_COLOUR_MAP,
         clim=(low, high if high > low else low + 1.0),
         line_width=1.6,
         opacity=0.8,
@@ -181,13 +189,13 @@ def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, 
     return sights.label, low, high
 
 
-def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     """Draw the shadow cone of each station, which its elevation limit hides, and the rims on the floor."""
     z = workshop.floor_height
-    for k, opening in enumerate(workshop.openings):
+    for k, opening in enumerate(workshop.cone_openings):
         radius = workshop.shadow_radius(opening)
         rims = []
-        for s, place in enumerate(workshop.position):
+        for s, place in enumerate(workshop.station_positions):
             low = np.array([*place[:2], z + 0.004 * (k + 1)])
             disc = pv.Polygon(center=low, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
             rims.append(disc.extract_feature_edges())
@@ -208,12 +216,12 @@ def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) ->
         lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
 
 
-def _polygon(corners: Floats) -> pv.PolyData:
+def _polygon_mesh(corners: Floats) -> pv.PolyData:
     """Flat convex face with corners (k, 3)."""
     return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
 
 
-def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
+def _cylinder_mesh(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
     """Cylinder between two points (3,)."""
     along = end - begin
     height = float(np.linalg.norm(along))
@@ -223,7 +231,7 @@ def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
 def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
     """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
     count = len(centres)
-    around, up = (18, 12) if count <= FEW_SPHERES else (8, 6) if count <= MANY_SPHERES else (6, 4)
+    around, up = (18, 12) if count <= MAX_FINE_SPHERES else (8, 6) if count <= MAX_MEDIUM_SPHERES else (6, 4)
     unit = pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
     first = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
@@ -231,9 +239,9 @@ def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
     return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
 
-def _targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     gauge = set(workshop.gauge_targets)
-    radius = 0.009 * workshop.size
+    radius = 0.009 * workshop.largest_extent
     for name, colour, chosen in (
         ("targets", style.BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
         ("gauge", style.GREEN, sorted(gauge)),
@@ -241,64 +249,64 @@ def _targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
         if chosen:
             axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
             plotter.add_mesh(
-                ellipsoid_mesh(workshop.points[chosen], axes),
+                ellipsoid_mesh(workshop.target_points[chosen], axes),
                 color=colour,
                 name=name,
-                smooth_shading=len(chosen) <= FEW_SPHERES,
+                smooth_shading=len(chosen) <= MAX_FINE_SPHERES,
             )
-    if workshop.gauge:
-        ends = workshop.points[np.array(workshop.gauge).ravel()]
+    if workshop.gauge_pairs:
+        ends = workshop.target_points[np.array(workshop.gauge_pairs).ravel()]
         plotter.add_mesh(
             pv.line_segments_from_points(ends), color=style.GREEN, line_width=3, lighting=False, name="gauge-lengths"
         )
 
 
-def _stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     legs, heads, pointers = [], [], []
-    for place, turn in zip(workshop.position, workshop.rotation, strict=True):
+    for place, turn in zip(workshop.station_positions, workshop.station_rotations, strict=True):
         height = max(place[2] - workshop.floor_height, 0.3)
         spread = 0.28 * min(height, 2.0)
         top = place - np.array([0.0, 0.0, 0.22])
         for angle in np.array([90.0, 210.0, 330.0]) * DEGREE:
             foot = np.array([*(place[:2] + spread * np.array([np.cos(angle), np.sin(angle)])), workshop.floor_height])
-            legs.append(_rod(top, foot, 0.018))
-        legs.append(_rod(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
+            legs.append(_cylinder_mesh(top, foot, 0.018))
+        legs.append(_cylinder_mesh(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
         heads.append(pv.Cylinder(center=place, direction=turn[:, 1], radius=0.09, height=0.20, resolution=32))
         end = place + 0.30 * turn[:, 0]
-        pointers.append(_rod(place, end, 0.022))
+        pointers.append(_cylinder_mesh(place, end, 0.022))
         pointers.append(
             pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
         )
-    plotter.add_mesh(pv.merge(legs), color=LEG, name="tripods")
-    plotter.add_mesh(pv.merge(heads), color=style.INK, name="heads")
+    plotter.add_mesh(pv.merge(legs), color=TRIPOD_LEG_COLOUR, name="tripods")
+    plotter.add_mesh(pv.merge(heads), color=style.INK_COLOUR, name="heads")
     plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
-def _uncertainty(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     """Draw ellipsoids of one sigma around the targets with a round magnification."""
-    if workshop.covariance is None:
+    if workshop.target_covariances is None:
         return
-    spread, axes = np.linalg.eigh(workshop.covariance)
+    spread, axes = np.linalg.eigh(workshop.target_covariances)
     semi = np.sqrt(np.maximum(spread, 0.0))
     largest = float(np.median(semi.max(axis=1)))
     if not largest > 0:
         return
-    scale = round_magnification(largest, 0.035 * workshop.size)
-    ellipsoids = ellipsoid_mesh(workshop.points, axes * (scale * semi)[:, None, :])
+    scale = round_magnification(largest, 0.035 * workshop.largest_extent)
+    ellipsoids = ellipsoid_mesh(workshop.target_points, axes * (scale * semi)[:, None, :])
     plotter.add_mesh(
-        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= FEW_SPHERES
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= MAX_FINE_SPHERES
     )
-    lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
+    lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {magnification_text(scale)} times")
 
 
-def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    if workshop.correction is None:
+def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    if workshop.target_corrections is None:
         return
-    length = np.linalg.norm(workshop.correction, axis=1)
+    length = np.linalg.norm(workshop.target_corrections, axis=1)
     if not float(length.max()) > 0:
         return
-    scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
-    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MAX_ARROWS:][0]))
+    scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.largest_extent)
+    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MAX_DRAWN_ARROWS:][0]))
     arrows = [
         pv.Arrow(
             start=p,
@@ -310,26 +318,28 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
             shaft_resolution=8,
             tip_resolution=12,
         )
-        for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
+        for p, c, n in zip(workshop.target_points, workshop.target_corrections, length, strict=True)
         if n >= least
     ]
     plotter.add_mesh(pv.merge(arrows), color=style.PURPLE, name="corrections")
-    most = f" (the {MAX_ARROWS} largest)" if len(length) > MAX_ARROWS else ""
-    lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
+    most = f" (the {MAX_DRAWN_ARROWS} largest)" if len(length) > MAX_DRAWN_ARROWS else ""
+    lines.append(f"arrows: correction of a target{most}, enlarged {magnification_text(scale)} times")
 
 
-def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+def _draw_names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     """Draw names facing the camera, stations first; a name that would cover another is omitted and listed."""
     eye = np.array(plotter.camera.position)
-    axes = _facing(eye - np.array(plotter.camera.focal_point))
-    size, placed, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
-    groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
-    if len(workshop.targets) <= MAX_LABELS:
-        groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
+    axes = _facing_axes(eye - np.array(plotter.camera.focal_point))
+    size, placed, hidden = 0.026 * workshop.largest_extent, list[tuple[Floats, Floats]](), list[str]()
+    groups = [
+        ("station-names", workshop.stations, workshop.station_positions, 0.15 + size, 1.5 * size, style.INK_COLOUR)
+    ]
+    if len(workshop.targets) <= MAX_TARGET_LABELS:
+        groups.append(("target-names", workshop.targets, workshop.target_points, size, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
         words = []
         for name, place in zip(names, places + np.array([0.0, 0.0, up]), strict=True):
-            word = _letters(name, place, axes, height)
+            word = _letter_mesh(name, place, axes, height)
             if not word.n_points:  # characters without a glyph
                 continue
             projected = (word.points - eye) @ axes.T
@@ -342,10 +352,10 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if hidden:
-        lines.append(f"omitted names: {listing(hidden, MAX_HIDDEN)}")
+        lines.append(f"omitted names: {listing(hidden, MAX_OMITTED_NAMES)}")
 
 
-def _facing(direction: Floats) -> Floats:
+def _facing_axes(direction: Floats) -> Floats:
     """Axes (3, 3) of a plane perpendicular to a direction: right, up, and outwards."""
     out = direction / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
@@ -353,21 +363,23 @@ def _facing(direction: Floats) -> Floats:
     return np.stack([right, np.cross(out, right), out])
 
 
-def _letters(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
+def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
     """Mesh of a name with letters of a height [m], in the plane of `axes`."""
-    text = style.shorten(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
+    text = style.shortened_name(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # in front of a wall behind the target
     return mesh
 
 
-def _camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _place_camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     """Place the camera above the open side, looking at the middle."""
     low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
-    high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])
+    high = np.array(
+        [*workshop.floor.max(axis=0), max(workshop.target_points[:, 2].max(), workshop.station_positions[:, 2].max())]
+    )
     middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])
-    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.points
-    away = (middle if len(workshop.walls) else workshop.position.mean(axis=0)) - backs.mean(axis=0)
+    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.target_points
+    away = (middle if len(workshop.walls) else workshop.station_positions.mean(axis=0)) - backs.mean(axis=0)
     open_side = np.array([1.0, 0.72]) * np.where(away[:2] < -1e-6, -1.0, 1.0)
     reach = 1.75 * float(np.linalg.norm(high - low))
     direction = np.array([*(open_side / np.linalg.norm(open_side)), 0.62])

@@ -17,10 +17,10 @@ from trame_vtk.tools.vtksz2html import write_html
 from ltsim.core.notation import number_text
 from ltsim.reports import scene3d
 from ltsim.reports.document import CONTENT_SECURITY_POLICY
-from ltsim.reports.words import typeset
+from ltsim.reports.words import typographic_text
 from ltsim.reports.workshop import PlacedWorkshop
 
-STYLE = """
+PAGE_CSS = """
 .content { position: fixed; inset: 0; touch-action: none; }
 .content canvas { touch-action: none; }
 body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
@@ -36,11 +36,13 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
-HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
-HEAD += '<meta name="generator" content="ltsim">'
+"""Style sheet of the page."""
+PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
+"""Elements for the head of the page: content security policy, and the mark of ltsim."""
+PAGE_HEAD += '<meta name="generator" content="ltsim">'
 
 
-FINEST = 40_000
+N_COORDINATE_STEPS = 40_000
 """Number of coordinate steps across a scene, to which coordinates are rounded for compression;
 invisible on a screen.
 """
@@ -48,60 +50,61 @@ invisible on a screen.
 
 def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
     """Self-contained HTML page with the interactive scene."""
-    plotter, legend = scene3d.build(workshop, camera=camera)
-    html = _page(plotter, workshop, legend)
+    plotter, legend = scene3d.build_scene(workshop, camera=camera)
+    html = _page_html(plotter, workshop, legend)
     plotter.close()
     return html
 
 
-def picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.Legend, str]:
+def scene_picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.SceneLegend, str]:
     """Picture, legend and interactive page of one scene."""
-    plotter, legend = scene3d.build(workshop, window_size=(1200, 860))
-    html = _page(plotter, workshop, legend)
-    scene3d.write_legend(plotter, "", scene3d.Legend((), legend.bar))
-    return scene3d.taken(plotter), legend, html
+    plotter, legend = scene3d.build_scene(workshop, window_size=(1200, 860))
+    html = _page_html(plotter, workshop, legend)
+    scene3d.write_legend(plotter, "", scene3d.SceneLegend((), legend.colour_bar))
+    return scene3d.capture_and_close(plotter), legend, html
 
 
-def _page(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.Legend) -> str:
-    step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
+def _page_html(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.SceneLegend) -> str:
+    step = 2.0 ** np.floor(np.log2(workshop.largest_extent / N_COORDINATE_STEPS))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
         if mesh is not None:
             mesh.points = (step * np.round(mesh.points / step)).astype(np.float32)
     plotter.render()
     stream = io.StringIO()
-    write_html(_packed(_scene(plotter.render_window)), stream)
-    html = FAVICON.sub("data:,", stream.getvalue())
+    write_html(_zip_archive(_vtk_scene(plotter.render_window)), stream)
+    html = FAVICON_PATTERN.sub("data:,", stream.getvalue())
     title = escape(workshop.title or "Workshop")
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
-    html = html.replace("<head>", f"<head>{HEAD}", 1)
-    html = html.replace("</style>", STYLE + "</style>", 1)
+    html = html.replace("<head>", f"<head>{PAGE_HEAD}", 1)
+    html = html.replace("</style>", PAGE_CSS + "</style>", 1)
     html = html.replace("<body>", '<body><div class="content"></div>', 1)
     before, _, after = html.rpartition("</body>")
-    return f"{before}{_overlay(title, legend)}</body>{after}"
+    return f"{before}{_legend_html(title, legend)}</body>{after}"
 
 
-def _overlay(title: str, legend: scene3d.Legend) -> str:
+def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
     lines = "".join(f"<p>{escape(line)}</p>" for line in legend.lines)
     parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
-    if legend.bar is not None:
-        label, low, high = legend.bar
-        stops = ", ".join(to_hex(scene3d.LINES(x)) for x in np.linspace(0, 1, 9))
+    if legend.colour_bar is not None:
+        label, low, high = legend.colour_bar
+        stops = ", ".join(to_hex(scene3d.SIGHT_COLOUR_MAP(x)) for x in np.linspace(0, 1, 9))
         parts.append(
             f'<div id="bar">{escape(label)}<i style="background: linear-gradient(90deg, {stops})"></i>'
-            f"{typeset(number_text(low))}<span>{typeset(number_text(high))}</span></div>"
+            f"{typographic_text(number_text(low))}<span>{typographic_text(number_text(high))}</span></div>"
         )
     parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
     return "".join(parts)
 
 
-FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
+FAVICON_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
 """Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
-LONG_AGO = (1980, 1, 1, 0, 0, 0)
+ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+"""Date of the entries of the archive, so that equal scenes give equal bytes."""
 
 
-def _scene(window: Any) -> dict[str, Any]:
+def _vtk_scene(window: Any) -> dict[str, Any]:
     """Render window in the format of vtk.js, with its arrays."""
     serializers.initialize_serializers()
     context = serializers.SynchronizationContext()
@@ -120,11 +123,11 @@ def _scene(window: Any) -> dict[str, Any]:
     return {"hashes": arrays, "scene": scene}
 
 
-def _packed(scene: dict[str, Any]) -> bytes:
+def _zip_archive(scene: dict[str, Any]) -> bytes:
     """Zip archive for the viewer, without dates."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        entry = zipfile.ZipInfo("index.json", LONG_AGO)
+        entry = zipfile.ZipInfo("index.json", ZIP_DATE)
         entry.compress_type = zipfile.ZIP_DEFLATED
         archive.writestr(entry, json.dumps(scene))
     return stream.getvalue()

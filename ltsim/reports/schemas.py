@@ -37,7 +37,7 @@ from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.truth import Truth
 
-RESULTS: tuple[type[ResultFile], ...] = (
+RESULT_MODELS: tuple[type[ResultFile], ...] = (
     Calibration,
     History,
     Criteria,
@@ -55,8 +55,8 @@ RESULTS: tuple[type[ResultFile], ...] = (
 )
 """Models of the files that verbs write."""
 
-FILES: dict[str, type[BaseModel]] = {
-    **{model.FILE: model for model in RESULTS},
+FILE_MODELS: dict[str, type[BaseModel]] = {
+    **{model.FILE: model for model in RESULT_MODELS},
     "setup.toml": Setup,
     "scenario.toml": Scenario,
     "campaign.toml": CampaignFile,
@@ -66,11 +66,11 @@ FILES: dict[str, type[BaseModel]] = {
 }
 """Models of all files, including those that users write, by name."""
 
-TABLES: dict[str, tuple[Table, ...]] = {
+COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
     Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
     BenchFile.FILE: (BENCH_TABLE,),
     Truth.FILE: (NOMINAL_TABLE,),
-    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS_TABLE, diagnosis.BEFORE),
+    Diagnosis.FILE: (diagnosis.DIAGNOSED_TARGETS_TABLE, RESIDUALS_TABLE, diagnosis.RESIDUALS_BEFORE_TABLE),
     Plan.FILE: plan_tables.PLAN_TABLES,
     NextMeasurement.FILE: (PROPOSALS_TABLE,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS_TABLE),
@@ -83,12 +83,12 @@ TABLES: dict[str, tuple[Table, ...]] = {
 """Companion tables by the name of their result file."""
 
 
-def schemas() -> dict[str, dict[str, Any]]:
+def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema of every file, by its name."""
-    return {name: model.model_json_schema(by_alias=True) for name, model in FILES.items()}
+    return {name: model.model_json_schema(by_alias=True) for name, model in FILE_MODELS.items()}
 
 
-def tables() -> dict[str, list[dict[str, Any]]]:
+def companion_tables() -> dict[str, list[dict[str, Any]]]:
     """Companion tables of each file: name, subject, columns with their meaning."""
     return {
         file: [
@@ -99,16 +99,16 @@ def tables() -> dict[str, list[dict[str, Any]]]:
             }
             for table in companions
         ]
-        for file, companions in TABLES.items()
+        for file, companions in COMPANION_TABLES.items()
     }
 
 
-def main(folder: Path) -> None:
+def write_schemas(folder: Path) -> None:
     """Write the schema of every file, and the columns of the tables, into a folder."""
-    named = {f"{name}.schema.json": content for name, content in schemas().items()}
+    named = {f"{name}.schema.json": content for name, content in json_schemas().items()}
     write_texts(folder, {name: json.dumps(content, indent=1) + "\n" for name, content in named.items()})
-    write_texts(folder, {"tables.json": json.dumps(tables(), indent=1) + "\n"})
+    write_texts(folder, {"tables.json": json.dumps(companion_tables(), indent=1) + "\n"})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "schemas"))
+    write_schemas(Path(sys.argv[1] if len(sys.argv) > 1 else "schemas"))

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads all forty formats to find it
 
 from ltsim.core.arrays import Floats
-from ltsim.reports.words import typeset
+from ltsim.reports.words import typographic_text
 
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
@@ -29,43 +29,48 @@ RED = "#D55E00"
 SKY = "#56B4E9"
 PURPLE = "#CC79A7"
 GREY = "#8A8F94"
-PALE = "#E8ECEF"
-INK = "#22272B"
-CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
+PALE_GREY = "#E8ECEF"
+INK_COLOUR = "#22272B"
+COLOUR_CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK_COLOUR)
 MARKERS = "osD^vP*X"
 """Markers, which distinguish lines in grey prints."""
-BEFORE = GREY
-AFTER = BLUE
-BAND = "#8A8F9440"
+COLOUR_BEFORE = GREY
+"""Colour of values before a calibration."""
+COLOUR_AFTER = BLUE
+"""Colour of values after a calibration."""
+BAND_COLOUR = "#8A8F9440"
 """Colour of interval bands, transparent for light and dark pages."""
-DIVERGING = "RdBu_r"
-ON_PALE = "#23282c"
-ON_DEEP = "#fefefe"
-"""Colours of text on coloured cells."""
+DIVERGING_COLOUR_MAP = "RdBu_r"
+"""Name of the colour map of signed values."""
+TEXT_COLOUR_ON_PALE = "#23282c"
+"""Colour of text on a pale cell."""
+TEXT_COLOUR_ON_DEEP = "#fefefe"
+"""Colour of text on a cell of a deep colour."""
 
-WIDTH = 4.9
+FIGURE_WIDTH = 4.9
 """Width of every figure [inch], at which text has nine pixels on a phone."""
-LINE = 75
-HANDLE = 8
-"""Characters per line of a legend, and characters that the mark of an entry takes."""
+LEGEND_LINE_LENGTH = 75
+"""Length of a line of a legend [characters]."""
+LEGEND_HANDLE_LENGTH = 8
+"""Length that the mark of an entry of a legend takes [characters]."""
 
-_SETTINGS: dict[Any, Any] = {
+_MATPLOTLIB_SETTINGS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
     "font.size": 8.5,
-    "axes.prop_cycle": cycler(color=CYCLE),
+    "axes.prop_cycle": cycler(color=COLOUR_CYCLE),
     "axes.titlesize": 9.0,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",
     "axes.labelsize": 8.5,
     "axes.edgecolor": "#6B7278",
-    "axes.labelcolor": INK,
+    "axes.labelcolor": INK_COLOUR,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.formatter.useoffset": False,
-    "grid.color": PALE,
+    "grid.color": PALE_GREY,
     "grid.linewidth": 0.7,
     "xtick.color": "#4A5056",
     "ytick.color": "#4A5056",
@@ -73,7 +78,7 @@ _SETTINGS: dict[Any, Any] = {
     "ytick.labelsize": 8.0,
     "legend.frameon": False,
     "legend.fontsize": 8.0,
-    "text.color": INK,
+    "text.color": INK_COLOUR,
     "text.parse_math": False,
     "text.usetex": False,  # a matplotlibrc in the working folder may request TeX
     "lines.linewidth": 1.4,
@@ -83,15 +88,15 @@ _SETTINGS: dict[Any, Any] = {
     "savefig.dpi": 120,
     "savefig.transparent": True,
 }
-P = ParamSpec("P")
+DrawParameters = ParamSpec("DrawParameters")
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def with_figure_style(draw: Callable[DrawParameters, Figure]) -> Callable[DrawParameters, Figure]:
     """Decorator that applies the common settings while a figure is drawn."""
 
     @wraps(draw)
-    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_SETTINGS):
+    def inside(*args: DrawParameters.args, **kwargs: DrawParameters.kwargs) -> Figure:
+        with mpl.rc_context(_MATPLOTLIB_SETTINGS):
             return draw(*args, **kwargs)
 
     return inside
@@ -101,24 +106,24 @@ class NotebookFigure(Figure):
     """Figure that a notebook shows as a picture, whether or not pyplot is loaded."""
 
     def _repr_png_(self) -> bytes:
-        return png(self)
+        return png_bytes(self)
 
 
 def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
     """Empty figure of a height [inch] with automatic layout and without a window."""
-    return NotebookFigure(figsize=(WIDTH, height), layout=layout)
+    return NotebookFigure(figsize=(FIGURE_WIDTH, height), layout=layout)
 
 
-def panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
+def new_panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
     """Empty figure with one panel."""
     figure = new_figure(height, layout=layout)
     return figure, figure.subplots()
 
 
-def svg(figure: Figure) -> str:
+def svg_text(figure: Figure) -> str:
     """SVG text of the figure, reproducible to the byte."""
     stream, layout, dpi = io.StringIO(), figure.get_layout_engine(), figure.dpi
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(_MATPLOTLIB_SETTINGS):
         if layout is not None:  # `savefig` would draw everything twice, the first time for the layout alone
             FigureCanvasSVG(figure)
             figure.dpi = FigureCanvasSVG.fixed_dpi
@@ -130,19 +135,19 @@ def svg(figure: Figure) -> str:
     return stream.getvalue()
 
 
-def png(figure: Figure) -> bytes:
+def png_bytes(figure: Figure) -> bytes:
     """PNG of the figure for printing."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=150)
     return stream.getvalue()
 
 
-def svg_uri(text: str) -> str:
+def svg_data_uri(text: str) -> str:
     """`data:` URI of an SVG for an `img` element, in which scripts are not executed."""
     return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
 
 
-def webp_uri(picture: Image.Image) -> str:
+def webp_data_uri(picture: Image.Image) -> str:
     """`data:` URI of a picture as WebP, a fifth of the size of PNG."""
     small = io.BytesIO()
     picture.convert("RGB").save(small, format="WEBP", quality=82)
@@ -151,56 +156,58 @@ def webp_uri(picture: Image.Image) -> str:
 
 def unit_text(unit: str) -> str:
     """Printed form of a unit."""
-    return {"arcsec": '"', "deg": "°"}.get(unit, typeset(unit))
+    return {"arcsec": '"', "deg": "°"}.get(unit, typographic_text(unit))
 
 
-def quiet_axis(ax: Axes, *, grid: str = "y") -> None:
+def set_grid(ax: Axes, *, grid_axis: str = "y") -> None:
     """Keep grid lines of one direction only ('x', 'y', 'both' or 'none')."""
     ax.grid(visible=False)
-    if grid != "none":
-        ax.grid(visible=True, axis=grid)  # type: ignore[arg-type]
+    if grid_axis != "none":
+        ax.grid(visible=True, axis=grid_axis)  # type: ignore[arg-type]
 
 
-def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Floats:
+def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0) -> Floats:
     """Set names on the y axis, the first on top; returns their positions."""
     places = np.arange(len(names), dtype=np.float64)
-    ax.set_yticks(places, [shorten(name) for name in names], fontsize=size)
+    ax.set_yticks(places, [shortened_name(name) for name in names], fontsize=font_size)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.tick_params(axis="y", length=0)
-    quiet_axis(ax, grid="x")
+    set_grid(ax, grid_axis="x")
     return places
 
 
-def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
+def write_at_right(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
     """Write texts at the right end of the rows."""
     right = ax.secondary_yaxis("right")
-    right.set_yticks(places, [typeset(text) for text in texts], fontsize=8)
+    right.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)
     right.tick_params(length=0)
     right.spines["right"].set_visible(False)
 
 
-LEGEND_LINE = 0.2
+LEGEND_LINE_HEIGHT = 0.2
 """Height [inch] of a line of a legend."""
 
 
-def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
+def add_legend(figure: Figure, panels: Iterable[Axes], *, n_columns: int = 3) -> None:
     """Add a common legend above all panels, each label once; long labels are shortened."""
     handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    labels = [shorten(label) for label in handles]
-    figure.legend(list(handles.values()), labels, ncols=columns_for(labels, ncols), loc="outside upper left")
+    labels = [shortened_name(label) for label in handles]
+    figure.legend(list(handles.values()), labels, ncols=legend_columns(labels, n_columns), loc="outside upper left")
 
 
-def columns_for(labels: Sequence[str], most: int) -> int:
-    """Number of legend columns that fit the longest label, at most `most`."""
-    return max(1, min(most, LINE // (max(map(len, labels), default=0) + HANDLE)))
+def legend_columns(labels: Sequence[str], max_columns: int) -> int:
+    """Number of legend columns that fit the longest label, at most `max_columns`."""
+    return max(1, min(max_columns, LEGEND_LINE_LENGTH // (max(map(len, labels), default=0) + LEGEND_HANDLE_LENGTH)))
 
 
-def legend_height(labels: Sequence[str], most: int) -> float:
-    """Height [inch] of a legend of labels in at most `most` columns."""
-    return LEGEND_LINE * -(-len(labels) // columns_for([shorten(label) for label in labels], most))
+def legend_height(labels: Sequence[str], max_columns: int) -> float:
+    """Height [inch] of a legend of labels in at most `max_columns` columns."""
+    return LEGEND_LINE_HEIGHT * -(
+        -len(labels) // legend_columns([shortened_name(label) for label in labels], max_columns)
+    )
 
 
-def shorten(name: str, most: int = 34) -> str:
-    """Name of at most `most` characters, cut in the middle, since names often differ at their ends."""
-    flat, end = " ".join(name.split()), most // 2
-    return flat if len(flat) <= most else f"{flat[: most - 1 - end]}…{flat[-end:]}"
+def shortened_name(name: str, max_length: int = 34) -> str:
+    """Name of at most `max_columns` characters, cut in the middle, since names often differ at their ends."""
+    flat, end = " ".join(name.split()), max_length // 2
+    return flat if len(flat) <= max_length else f"{flat[: max_length - 1 - end]}…{flat[-end:]}"

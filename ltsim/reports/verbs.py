@@ -13,8 +13,8 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import About
-from ltsim.reports.page import NAME, UNREADABLE, document, render
-from ltsim.reports.workshop import PlacedWorkshop, from_recording, from_scenario, with_cad
+from ltsim.reports.page import PAGE_FILE, UNREADABLE_KIND, document_of_folder, page_html
+from ltsim.reports.workshop import PlacedWorkshop, workshop_from_recording, workshop_from_scenario, workshop_with_cad
 from ltsim.scene.cad import UNIT_WORDS
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
@@ -29,21 +29,23 @@ class View(Result):
     def _lines(self) -> list[str]:
         w = self.workshop
         title = f"{w.title}: " if w.title else ""
-        return [f"View: {title}{len(w.stations)} stations, {len(w.targets)} targets; png(), html() or show()"]
+        return [
+            f"View: {title}{len(w.stations)} stations, {len(w.targets)} targets; write_png(), write_html() or show()"
+        ]
 
     def _repr_html_(self) -> str:
         from ltsim.reports.scene_page import scene_page  # pyvista takes a second to load
 
         return f'<iframe srcdoc="{escape(scene_page(self.workshop))}" width="100%" height="600"></iframe>'
 
-    def png(self, path: str | Path) -> None:
+    def write_png(self, path: str | Path) -> None:
         """Write a picture."""
         from ltsim.reports import scene3d
 
         check_writable(Path(path), folder=False)
-        write_text(Path(path), scene3d.picture(self.workshop))
+        write_text(Path(path), scene3d.scene_png(self.workshop))
 
-    def html(self, path: str | Path) -> None:
+    def write_html(self, path: str | Path) -> None:
         """Write an interactive page for a browser, which works offline."""
         from ltsim.reports.scene_page import scene_page
 
@@ -54,7 +56,7 @@ class View(Result):
         """Open a window; returns when it is closed."""
         from ltsim.reports import scene3d
 
-        scene3d.show(self.workshop)
+        scene3d.show_window(self.workshop)
 
 
 def view(
@@ -70,11 +72,12 @@ def view(
     Parameters
     ----------
     source : Recording, Scenario, str or Path
-        A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
+        Recording (adjusted first) or scenario, its file, or the name of a built-in scenario.
     cad : str or Path, optional
-        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) to show in the workshop.
+        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) that is shown in the workshop.
     cad_unit : {`mm`, `m`, `in`}, optional
-        Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
+        Unit of the coordinates in the CAD file; default by its format (glTF: metres; STEP: declared in the file;
+        others: millimetres).
     cad_up : {`y`, `z`}, optional
         Axis of the CAD file that points up; default by its format (glTF: y).
     colour : {`incidence`, `residual`}
@@ -89,14 +92,14 @@ def view(
     --------
     >>> import ltsim as lt
     >>> lt.view("paper-workshop")
-    View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
+    View: The paper's workshop: 5 stations, 28 targets; write_png(), write_html() or show()
     """
     check_choice("cad_unit", cad_unit, tuple(UNIT_WORDS), optional=True)
     check_choice("cad_up", cad_up, ("y", "z"), optional=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
-    shown = _workshop_of(source).coloured(colour)
-    return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))
+    shown = _workshop_of(source).with_sights_by(colour)
+    return View(shown if cad is None else workshop_with_cad(shown, Path(cad), cad_unit, cad_up))
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
@@ -104,14 +107,14 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
     from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
 
     if isinstance(source, Recording):
-        return from_recording(source)
+        return workshop_from_recording(source)
     if isinstance(source, Scenario):
-        return from_scenario(source)
+        return workshop_from_scenario(source)
     path = source_path(source)
     is_scenario = (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists()
     if is_scenario or str(source) in builtin_names():
-        return from_scenario(scenario(source))
-    return from_recording(read(path))
+        return workshop_from_scenario(scenario(source))
+    return workshop_from_recording(read(path))
 
 
 def report(
@@ -127,15 +130,15 @@ def report(
     Parameters
     ----------
     folder : str or Path
-        A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
+        Folder of a recording, a calibration, a diagnosis, a campaign or a plan, or folder of such folders.
     recording : str or Path, optional
         Recording of a calibration or diagnosis, if it is not in the folder.
     title : str, optional
         Title of the page.
     about : mapping of str to str, optional
-        `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
+        Lines of the header: `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
     tell : callable
-        Callback for the error of each inner folder that cannot be read; the page shows it too.
+        Callback with the error of each inner folder that cannot be read; the page shows the error too.
 
     Returns
     -------
@@ -157,9 +160,12 @@ def report(
     """
     head = About(**about) if isinstance(about, Mapping) else about
     behind = None if recording is None else Path(recording)
-    target, content = Path(folder) / NAME, document(Path(folder), recording=behind, title=title, about=head)
+    target, content = (
+        Path(folder) / PAGE_FILE,
+        document_of_folder(Path(folder), recording=behind, title=title, header=head),
+    )
     for unread in content.sections:
-        if unread.kind == UNREADABLE:
-            tell(unread.answer)
-    write_text(target, render(content))
+        if unread.kind == UNREADABLE_KIND:
+            tell(unread.summary)
+    write_text(target, page_html(content))
     return target

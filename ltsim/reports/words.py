@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ltsim.campaigns.schema import ScenarioSettings
     from ltsim.simulation.scenario import Scenario
 
-QUALITY = {
+QUALITY_MEASURES = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
     "targets": ("targets: rms sigma [um]", 1e6),
     "diagnosis": ("effects: found / plausible size", 1.0),
@@ -28,7 +28,7 @@ def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
-def duration(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Text of a time span [s]."""
     minutes = seconds / 60.0
     if minutes < 1:
@@ -39,28 +39,28 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest:02d} min"
 
 
-def of_presets(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
+def tracker_presets_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
     """Presets of the trackers in scenarios, as text."""
     trackers = [t for s in scenarios for t in (*s.instruments.values(),) or (s.instrument,)]
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 
 
-def count(number: int, singular: str, many: str = "") -> str:
+def count_text(number: int, singular: str, plural: str = "") -> str:
     """Number with noun: `1 station`, `5 stations`."""
-    return f"{number} {singular if number == 1 else many or singular + 's'}"
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
 
-def natural(name: str) -> list[tuple[int, str]]:
+def natural_sort_key(name: str) -> list[tuple[int, str]]:
     """Sort key of natural order: T9 before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def sentence(words: str) -> str:
+def as_sentence(words: str) -> str:
     """Text as a sentence, with a capital letter and a full stop."""
     return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
 
 
-def typeset(text: str) -> str:
+def typographic_text(text: str) -> str:
     """Text with typographic signs: plus-minus, minus, micro, chi, a dash for a missing value."""
     signs = re.sub(
         r"\bu(m|rad)\b",
@@ -70,7 +70,7 @@ def typeset(text: str) -> str:
     return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
 
 
-def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
+def global_test_verdict(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
     """Verdict of the global test at 1 % on each side, and its text; `p` is the probability of a larger chi-square."""
     if dof <= 0 or p is None or not math.isfinite(p):
         return True, "the model cannot be tested, because there is no redundancy"

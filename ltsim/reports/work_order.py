@@ -4,23 +4,23 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
 from ltsim.planning.tables import SETUPS_TABLE
 from ltsim.planning.work_order import check_sentences, station_instructions
-from ltsim.reports.document import Block, BulletList, Document, Note, Picture, Section, table_block
-from ltsim.reports.page import render, versions
-from ltsim.reports.words import duration
+from ltsim.reports.document import Block, BulletListBlock, Document, NoteBlock, PictureBlock, Section, table_block
+from ltsim.reports.page import package_versions, page_html
+from ltsim.reports.words import duration_text
 
 
 def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
     survey = plan.network.layout.survey
     title = f"Work order: {plan.title or 'the plan'}"
-    section = Section(title=title, kind="Work order", answer=f"{survey.extent_text}.", blocks=_blocks(plan))
-    return render(Document(title, section.answer, "plain", [section], versions()))
+    section = Section(title=title, kind="Work order", summary=f"{survey.extent_text}.", blocks=_work_order_blocks(plan))
+    return page_html(Document(title, section.summary, "plain", [section], package_versions()))
 
 
-def _blocks(plan: Plan) -> list[Block]:
+def _work_order_blocks(plan: Plan) -> list[Block]:
     network = plan.network
     stations, survey = station_instructions(network), network.layout.survey
-    places = SETUPS_TABLE.filled(
+    places = SETUPS_TABLE.with_rows(
         [
             s.name,
             *(tape.text for tape in s.tape_distances),
@@ -37,33 +37,35 @@ def _blocks(plan: Plan) -> list[Block]:
     note = " ".join([note, *(f"{s.name}: {s.deficiency_sentence}" for s in stations if s.deficiency_sentence)])
     blocks: list[Block] = [
         *table_block("Places of the tripods", places, note=note),
-        Picture(
+        PictureBlock(
             "Floor plan",
             plan.plot,
             "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        BulletList("Checks", check_sentences(network)),
+        BulletListBlock("Checks", check_sentences(network)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
     for s in stations:
         again = ", ".join(f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items())
-        head = f"{len(s.target_order)} points {faces}, {rounds}, {duration(60 * s.minutes)}"
+        head = f"{len(s.target_order)} points {faces}, {rounds}, {duration_text(60 * s.minutes)}"
         text = f"{head}: {', '.join(s.target_order)}. Again: {again}."
-        blocks.append(Note(f"{s.name}: order of work", text))
-    blocks += _before(plan)
+        blocks.append(NoteBlock(f"{s.name}: order of work", text))
+    blocks += _reflector_proposals_block(plan)
     text = (
         "nominals.csv has the points for the tracker's software, work-order.csv every pointing with its expected "
         "readings, scenario.toml the same work for a simulation. "
     )
-    blocks.append(Note("Files", f"{text}A move of the tripod is assumed to take {duration(survey.seconds_per_move)}."))
+    blocks.append(
+        NoteBlock("Files", f"{text}A move of the tripod is assumed to take {duration_text(survey.seconds_per_move)}.")
+    )
     return blocks
 
 
-def _before(plan: Plan) -> list[Block]:
+def _reflector_proposals_block(plan: Plan) -> list[Block]:
     """Proposals to move or add a reflector before the work."""
     worth = [change for change in plan.reflector_changes if change.do != "remove"]
     if not worth:
         return []
     lines = [f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
-    return [BulletList("Possible improvements: one of these (z from the floor), then plan again", lines)]
+    return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

@@ -21,19 +21,20 @@ from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_o
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
-SECOND_OPENING = 110.0 * DEGREE
+ALTERNATIVE_CONE_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 MAX_TRACKER_HEIGHT = 3.0
 """Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
-MIN_NORMAL_COMPONENT = 0.25
-MAX_DEPTH_DIFFERENCE = 0.2
+MIN_WALL_NORMAL_COMPONENT = 0.25
+"""Smallest component of a nest's normal across its wall, dimensionless."""
+MAX_WALL_DEPTH_DIFFERENCE = 0.2
+"""Largest difference in depth [m] of the nests of one wall."""
 FLOOR_MARGIN = 0.4
-"""Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
-[m] of the floor around stations and targets."""
+"""Margin [m] of the floor around stations and targets."""
 
 
 @dataclass(frozen=True)
-class Sights:
+class DrawnSights:
     """Lines of sight (n,) with values; `label` is name and unit of the value."""
 
     station: Ints
@@ -48,145 +49,147 @@ class PlacedWorkshop(ValueEquality):
 
     title: str
     stations: tuple[str, ...]
-    position: Floats
+    station_positions: Floats
     """Positions of the stations, (S, 3) [m]."""
-    rotation: Floats
+    station_rotations: Floats
     """Instrument frame to this frame, (S, 3, 3)."""
     targets: tuple[str, ...]
-    points: Floats
-    nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    target_points: Floats
+    nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Normals of the fixed nests, (T, 3); NaN for a re-aimed reflector."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """Outline of the floor, (k, 2) [m]."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
     """Corners of the walls, (W, 4, 3) [m]."""
-    gauge: tuple[tuple[int, int], ...] = ()
+    gauge_pairs: tuple[tuple[int, int], ...] = ()
     """Pairs of targets with a reference length."""
     elevation_min: float = -55.0 * DEGREE
-    sights: Sights | None = None
-    covariance: Floats | None = None
+    sights: DrawnSights | None = None
+    target_covariances: Floats | None = None
     """Covariance of each target, (T, 3, 3) [m^2]; None if unknown."""
-    correction: Floats | None = None
+    target_corrections: Floats | None = None
     """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners of the triangles of obstacles, (k, 3, 3)."""
-    hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     """Station and target of the sights that obstacles block, (k, 2)."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
     @property
-    def yaw(self) -> Floats:
+    def station_yaws(self) -> Floats:
         """Direction of azimuth zero of each station, (S,) [rad]."""
-        return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
+        return np.arctan2(self.station_rotations[:, 1, 0], self.station_rotations[:, 0, 0])
 
     @property
-    def openings(self) -> tuple[float, ...]:
+    def cone_openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: by the elevation limit, and the alternative of the paper."""
         limit = shadow_cone_opening(self.elevation_min)
-        return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
+        return (limit,) if abs(limit - ALTERNATIVE_CONE_OPENING) < 1e-9 else (limit, ALTERNATIVE_CONE_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """Radius on the floor of the cone with a full angle `opening`, (S,) [m]."""
-        return shadow_radii(self.position, self.floor_height, opening)
+        return shadow_radii(self.station_positions, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
         """Targets that belong to the gauge."""
-        return tuple(sorted({i for pair in self.gauge for i in pair}))
+        return tuple(sorted({i for pair in self.gauge_pairs for i in pair}))
 
     @property
-    def size(self) -> float:
+    def largest_extent(self) -> float:
         """Largest extent [m] of the targets and stations."""
-        points = np.concatenate([self.points, self.position])
+        points = np.concatenate([self.target_points, self.station_positions])
         return float(np.max(np.ptp(points, axis=0)))
 
-    def incidence(self) -> Sights | None:
+    def incidence_sights(self) -> DrawnSights | None:
         """Lines of sight with the angle between beam and nest normal, for nests with a normal."""
-        if self.sights is None or not np.isfinite(self.nest_normal).any():
+        if self.sights is None or not np.isfinite(self.nest_normals).any():
             return None
         station, target = self.sights.station, self.sights.target
-        back = self.position[station] - self.points[target]
-        cosine = np.sum(back * self.nest_normal[target], axis=1) / np.linalg.norm(back, axis=1)
+        back = self.station_positions[station] - self.target_points[target]
+        cosine = np.sum(back * self.nest_normals[target], axis=1) / np.linalg.norm(back, axis=1)
         with_normal = np.isfinite(cosine)
         angle = np.arccos(np.clip(cosine[with_normal], -1.0, 1.0)) / DEGREE
-        return Sights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
+        return DrawnSights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
 
-    def coloured(self, by: str) -> PlacedWorkshop:
+    def with_sights_by(self, by: str) -> PlacedWorkshop:
         """Workshop with lines of sight coloured by 'incidence' or 'residual'; unchanged if not available."""
-        sights = self.incidence() if by == "incidence" else None
+        sights = self.incidence_sights() if by == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
-def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) -> PlacedWorkshop:
-    """Workshop of an adjusted network; `plain` is the adjustment without parameters, for the correction arrows."""
+def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adjustment | None = None) -> PlacedWorkshop:
+    """Workshop of an adjusted network, with correction arrows from the adjustment `without_parameters`."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
     placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, number = placed[recording.target], np.cumsum(placed) - 1
-    correction = None if plain is None else (state.target_points - plain.state.target_points)[placed]
+    correction = (
+        None if without_parameters is None else (state.target_points - without_parameters.state.target_points)[placed]
+    )
     network = PlacedWorkshop(
         title=recording.setup.title,
         stations=recording.stations,
-        position=state.station_positions,
-        rotation=state.station_rotations,
+        station_positions=state.station_positions,
+        station_rotations=state.station_rotations,
         targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
-        points=state.target_points[placed],
-        sights=Sights(
+        target_points=state.target_points[placed],
+        sights=DrawnSights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
         ),
-        covariance=np.nan_to_num(adjustment.target_covariance[placed]),
-        correction=correction,
+        target_covariances=np.nan_to_num(adjustment.target_covariance[placed]),
+        target_corrections=correction,
     )
-    return with_surroundings(network, recording.setup)
+    return workshop_with_surroundings(network, recording.setup)
 
 
-def from_recording(recording: Recording) -> PlacedWorkshop:
+def workshop_from_recording(recording: Recording) -> PlacedWorkshop:
     """Workshop of a recording, adjusted with the instrument's parameters; arrows show the change by them."""
     plain = adjust(recording)
     plain.solution.require_success()
     full = adjust(recording, declared_construction(recording))
-    return from_adjustment(full if full.solution.has_converged else plain, plain=plain)
+    return workshop_from_adjustment(full if full.solution.has_converged else plain, without_parameters=plain)
 
 
-def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
+def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     """Network in the frame of the floor plan of the set-up, if there is one, with floor, walls and gauge."""
-    plan = FloorPlan.from_positions(setup, network.stations, network.position, network.rotation)
+    plan = FloorPlan.from_positions(setup, network.stations, network.station_positions, network.station_rotations)
     turn, planned = plan.rotation, plan.has_plan
-    points, position = plan.positions_on_plan(network.points), plan.positions_on_plan(network.position)
-    normal = _nest_normals(setup, network.targets)
+    points, position = plan.positions_on_plan(network.target_points), plan.positions_on_plan(network.station_positions)
+    normal = _normals_of_nests(setup, network.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
     height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
-    planes = _wall_planes(points, normal) if planned else []
+    planes = _find_wall_planes(points, normal) if planned else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
     at = {name: i for i, name in enumerate(network.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
-    floor = _floor(np.concatenate([points, position])[:, :2], planes)
+    floor = _floor_rectangle(np.concatenate([points, position])[:, :2], planes)
     return replace(
         network,
-        position=position,
-        rotation=turn @ network.rotation,
-        points=points,
-        nest_normal=np.where(_reaimed(setup, network.targets)[:, None], np.nan, normal),
+        station_positions=position,
+        station_rotations=turn @ network.station_rotations,
+        target_points=points,
+        nest_normals=np.where(_is_reaimed(setup, network.targets)[:, None], np.nan, normal),
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
-        gauge=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
+        gauge_pairs=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
         elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
-        covariance=None if network.covariance is None else turn @ network.covariance @ turn.T,
-        correction=None if network.correction is None else network.correction @ turn.T,
+        target_covariances=None if network.target_covariances is None else turn @ network.target_covariances @ turn.T,
+        target_corrections=None if network.target_corrections is None else network.target_corrections @ turn.T,
         notes=() if height == 0.0 else ("the floor is assumed at the lowest target",),
     )
 
 
-def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
+def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def _reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
+def _is_reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
     """Flags (T,) of the reflectors that are turned towards the station before each pointing.
 
     Their incidence is zero.
@@ -194,7 +197,7 @@ def _reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
-def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
+def _find_wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
     """Axis, sign of the free side, and position [m] of vertical walls with at least four nests.
 
     The nests point away from the wall, straight or at the stations, and no target is behind it.
@@ -204,15 +207,15 @@ def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float
         for side in (1.0, -1.0):
             depth = side * points[:, axis]
             last = float(depth.min())
-            looking = np.nan_to_num(side * normal[:, axis]) > MIN_NORMAL_COMPONENT
-            if np.sum(looking & (depth < last + MAX_DEPTH_DIFFERENCE)) >= 4:
+            looking = np.nan_to_num(side * normal[:, axis]) > MIN_WALL_NORMAL_COMPONENT
+            if np.sum(looking & (depth < last + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
                 planes.append((axis, side, side * (last - 0.05)))
     return planes
 
 
-def _floor(places: Floats, planes: list[tuple[int, float, float]]) -> Floats:
+def _floor_rectangle(positions: Floats, planes: list[tuple[int, float, float]]) -> Floats:
     """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin, up to the walls."""
-    (x0, y0), (x1, y1) = places.min(axis=0) - FLOOR_MARGIN, places.max(axis=0) + FLOOR_MARGIN
+    (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     sides |= {(axis, side): place for axis, side, place in planes}
     x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
@@ -230,7 +233,7 @@ def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: fl
     return walls
 
 
-def from_scenario(scenario: Scenario) -> PlacedWorkshop:
+def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
     """Workshop of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
 
     Raises
@@ -249,23 +252,25 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     return PlacedWorkshop(
         title=scenario.title,
         stations=layout.station_names,
-        position=layout.station_positions,
-        rotation=layout.station_rotations,
+        station_positions=layout.station_positions,
+        station_rotations=layout.station_rotations,
         targets=layout.target_names,
-        points=layout.target_points,
-        nest_normal=np.where(layout.is_reaimed[:, None], np.nan, layout.nest_normals),
+        target_points=layout.target_points,
+        nest_normals=np.where(layout.is_reaimed[:, None], np.nan, layout.nest_normals),
         floor=floor,
         walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
-        gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
+        gauge_pairs=tuple((i, j) for i in gauge for j in gauge if i < j),
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
-        sights=_sights(layout, table),
+        sights=_visible_sights(layout, table),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        hidden=np.argwhere(table.reasons == InvisibilityReason.OBSTACLE),
+        blocked_sights=np.argwhere(table.reasons == InvisibilityReason.OBSTACLE),
         notes=lost,
     )
 
 
-def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None) -> PlacedWorkshop:
+def workshop_with_cad(
+    workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None
+) -> PlacedWorkshop:
     """Workshop with the bodies of a CAD file; `unit` and `up` override the convention of its format.
 
     Raises
@@ -279,7 +284,7 @@ def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: 
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
 
 
-def _sights(layout: WorkshopLayout, table: Visibility) -> Sights:
+def _visible_sights(layout: WorkshopLayout, table: Visibility) -> DrawnSights:
     station, target = np.nonzero(table.is_visible)
     elevation = table.elevations[station, target] / DEGREE
-    return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")
+    return DrawnSights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import SetupError, installed
-from ltsim.core.limits import CAD_BYTES, MIB
+from ltsim.core.errors import SetupError, is_installed
+from ltsim.core.limits import MAX_CAD_BYTES, MIB
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
 from ltsim.scene.cad_process import EXACT_SUFFIXES, FACET_SUFFIXES, read_triangles
@@ -86,8 +86,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
     file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
-        if status.st_size > CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the limit for reading")
+        if status.st_size > MAX_CAD_BYTES:
+            raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // MIB} MiB, the limit for reading")
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
@@ -95,12 +95,12 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 
 
 @lru_cache(maxsize=8)
-def _read_triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
+def _read_triangles(path: Path, _changed: int, factor: float, up_axis: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
     triangles = _triangles_in_file_units(path, factor)
     parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
-        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts]
+        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up_axis) for start in parts]
     )
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
@@ -113,12 +113,12 @@ def _read_triangles(path: Path, _changed: int, factor: float, up: str) -> Floats
     return settled
 
 
-def _rounded_to_grid(triangles: Floats, up: str) -> Ints:
+def _rounded_to_grid(triangles: Floats, up_axis: str) -> Ints:
     """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
 
     Each triangle starts with its first corner.
     """
-    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up == "y" else triangles)).astype(
+    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up_axis == "y" else triangles)).astype(
         np.int64
     )
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
@@ -133,7 +133,7 @@ def _triangles_in_file_units(path: Path, factor: float) -> Floats:
     Those of a CAD model with exact surfaces in metres.
     """
     suffix = path.suffix.lower()
-    if suffix in EXACT_SUFFIXES and not installed("cascadio"):
+    if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
         raise SetupError(
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"

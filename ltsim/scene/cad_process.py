@@ -18,7 +18,14 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.core.limits import CAD_MEMORY, CAD_SECONDS, FILE_BYTES, MIB, SMALL_CAD_BYTES, TRIANGLES
+from ltsim.core.limits import (
+    MAX_CAD_MEMORY,
+    MAX_CAD_SECONDS,
+    MAX_FILE_BYTES,
+    MAX_IN_PROCESS_CAD_BYTES,
+    MAX_OBSTACLE_TRIANGLES,
+    MIB,
+)
 from ltsim.recordings.files import quoted_text
 
 EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
@@ -41,7 +48,7 @@ def read_triangles(path: Path) -> Floats:
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _require_few_triangles(path, max_stl_facets(content))
-    if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= SMALL_CAD_BYTES):
+    if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= MAX_IN_PROCESS_CAD_BYTES):
         try:
             triangles = parse_triangles(content, suffix)
         except Exception as problem:  # readers of all these formats raise whatever they meet
@@ -63,9 +70,9 @@ def max_stl_facets(content: bytes) -> int:
 
 
 def _require_few_triangles(path: Path, count: int) -> None:
-    if count > TRIANGLES:
+    if count > MAX_OBSTACLE_TRIANGLES:
         raise SetupError(
-            f"{path}: holds {count} triangles, at most {TRIANGLES} are read; export it with a coarser mesh"
+            f"{path}: holds {count} triangles, at most {MAX_OBSTACLE_TRIANGLES} are read; export it with a coarser mesh"
         )
 
 
@@ -75,8 +82,8 @@ def _incomplete_file_error(path: Path, reason: str) -> SetupError:
 
 def _read_in_process(path: Path, size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
-    share = max(1.0, size / FILE_BYTES)
-    limits = [str(int(share * CAD_MEMORY)), str(int(share * CAD_SECONDS))]
+    share = max(1.0, size / MAX_FILE_BYTES)
+    limits = [str(int(share * MAX_CAD_MEMORY)), str(int(share * MAX_CAD_SECONDS))]
     words = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     done = subprocess.run(words, capture_output=True, check=False, env={**os.environ, **single})
@@ -85,7 +92,7 @@ def _read_in_process(path: Path, size: int) -> Floats:
         if reason != MemoryError.__name__:
             raise _incomplete_file_error(path, reason)
     if done.returncode:
-        most = f"{share * CAD_MEMORY / MIB:.0f} MiB and {share * CAD_SECONDS:.0f} s"
+        most = f"{share * MAX_CAD_MEMORY / MIB:.0f} MiB and {share * MAX_CAD_SECONDS:.0f} s"
         what = f"cannot be read within {most} of memory and time, or is damaged"
         raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
     return np.frombuffer(done.stdout, dtype=np.float64).reshape(-1, 3, 3)
@@ -101,7 +108,7 @@ def run_process() -> None:
     try:
         with path.open("rb") as stream, without_library_output():
             triangles = parse_triangles(stream.read(), path.suffix.lower())
-        if len(triangles) > TRIANGLES:
+        if len(triangles) > MAX_OBSTACLE_TRIANGLES:
             raise MemoryError
     except Exception as problem:  # whatever the libraries raise
         sys.stderr.write(type(problem).__name__)

@@ -39,9 +39,8 @@ class FloorArea(TomlSection):
     height_mm: HeightRange | None = None
     """Lowest and highest centre of the instrument's head in this area; default those of the whole floor."""
     ceiling_mm: Positive | None = None
-    """Height of an overhead structure above this area, such as a gallery: heads stay 300 mm below it. An obstacle is
-    needed if it also hides targets.
-    """
+    """Height of an overhead structure above this area, such as a gallery: the tracker heads stay 300 mm below it. An
+    obstacle is needed too if the structure hides targets."""
 
 
 class FreePlace(TomlSection):

@@ -22,7 +22,7 @@ RAY_BUNDLE_RADIUS = 1e-4
 at 10 m.
 """
 RAY_END_MARGIN = 1e-6
-"""Fraction of a ray at its end that is not tested, so that a point on a surface is not hidden by it."""
+"""Fraction at the end of a ray that is not tested, so that a surface does not hide a point that is on it."""
 MAX_RAY_TRIANGLE_PAIRS = 2_000_000
 """Largest number of pairs of ray and triangle that are tested together."""
 TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
@@ -38,7 +38,8 @@ MAX_NEST_UNEVENNESS = 0.002
 MIN_NORMAL_Z = -0.5
 """Smallest vertical component of a face's normal: steeper overhanging faces carry no nest."""
 N_DRAWS_PER_PLACE = 12.0
-"""Number of random places drawn per square of the wanted spacing, before places too near to others are dropped."""
+"""Number of random places drawn per square of the requested spacing, before places too near to each other are dropped.
+"""
 MAX_DRAWN_PLACES = 20_000
 """Largest number of random places that are drawn on a body."""
 MERGE_DECIMALS = 8
@@ -88,7 +89,7 @@ class Obstacles:
         return hit
 
     def is_blocked_near(self, origins: Floats, ends: Floats, position_tolerance: float) -> Bools:
-        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument that may stand off `origins` (n, 3) [m].
+        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument near its place `origins` (n, 3) [m].
 
         Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
         that an edge of a body is not missed.

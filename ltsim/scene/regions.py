@@ -33,11 +33,10 @@ GRID_SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
 as wide as the cause has a tenth of its evidence.
 """
 MIN_PASSING_LINES = 6
-"""Smallest number of lines of sight that pass a region that is tried: fewer lines indicate an error of single readings.
-"""
+"""Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
 MAX_PASSING_FRACTION = 0.8
-"""Largest fraction of the lines of sight that pass a region that is tried: almost all of them indicate an error of the
-whole recording."""
+"""Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
+the whole recording."""
 MIN_TARGETS_BEHIND = 2
 """Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
 REFINED_CENTRE_STEPS = (0.5, 0.15)
@@ -58,8 +57,8 @@ class HallRegion:
 
     Attributes
     ----------
-    axes : str
-        Axes that confine it, a key of `REGION_SHAPES`.
+    bounded_axes : str
+        Axes in which the region is bounded, a key of `REGION_SHAPES`.
     centre : tuple of float
         Coordinates [m] along these axes, network frame.
     width : float

@@ -31,7 +31,7 @@ MIN_LEVEL_SEPARATION = 0.5
 class MeasurementGeometry:
     """Scenario with its true geometry and the order of its pointings.
 
-    `simulator.measure` draws errors and noise on it.
+    `simulator.measure_trial` draws errors and noise on it.
     """
 
     scenario: Scenario

@@ -149,7 +149,7 @@ class DetectionCurve(Result):
         ]
 
     def _tables(self) -> dict[str, Any]:
-        return {"curve": lambda: DETECTION_CURVE_TABLE.filled(self.rows)}
+        return {"curve": lambda: DETECTION_CURVE_TABLE.with_rows(self.rows)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,24 +202,24 @@ class Injector:
         square = float(projected @ projected)
         return square if square > MIN_NUMERICAL_REDUNDANCY * float(whole @ whole) else 0.0
 
-    def scale_to_noncentrality(self, effect: CandidateEffect, values: Floats, wanted: float) -> Floats:
+    def scale_to_noncentrality(self, effect: CandidateEffect, values: Floats, noncentrality_goal: float) -> Floats:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
-        factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
+        factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(noncentrality_goal)
         for _ in range(MAX_SCALING_STEPS):
             noncentrality = self.noncentrality(effect, factor * values)
             if not noncentrality > 0.0 or (
-                noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * wanted
+                noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * noncentrality_goal
                 and self._largest_relative_change(effect, factor * values) > bound
             ):
                 break
-            if abs(noncentrality / wanted - 1.0) < NONCENTRALITY_TOLERANCE:
+            if abs(noncentrality / noncentrality_goal - 1.0) < NONCENTRALITY_TOLERANCE:
                 return factor * values
-            factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
+            factor *= float(np.clip(np.sqrt(noncentrality_goal / noncentrality), 1e-3, 1e3))
         raise ModelError(
             f"the network absorbs {effect.name} {effect.place_text}: "
-            f"no plausible size gives a noncentrality of {wanted:g}"
+            f"no plausible size gives a noncentrality of {noncentrality_goal:g}"
         )
 
     def _largest_relative_change(self, effect: CandidateEffect, values: Floats) -> float:

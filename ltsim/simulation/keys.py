@@ -50,9 +50,9 @@ def unit_of(scenario: Scenario, key: str) -> str:
 
 
 def convert_value(scenario: Scenario, key: str, value: Any, where: str) -> Any:
-    """Value converted for a key: a text such as ``2 urad`` becomes a number in the key's unit.
+    """Value in the unit of a key: a text such as ``2 urad`` becomes a number.
 
-    Raises SetupError, which names `where`, for a text that is no quantity of this kind.
+    Raises SetupError, which names `where`, if the text is no quantity of the key's kind.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment_construction
@@ -31,7 +31,7 @@ def planned_construction(scenario: Scenario) -> Construction:
     if built.name == "steering-mirror":
         return built
     read = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
-    return misalignment_construction(effect for effect in BASELINE if read & {*effect.observables})
+    return misalignment_construction(effect for effect in BASELINE_EFFECTS if read & {*effect.observables})
 
 
 def instrument_error_distribution(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:

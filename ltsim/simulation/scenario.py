@@ -41,7 +41,7 @@ AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Name of the temperature column of a simulated recording."""
 MIN_TARGETS = 3
 """Smallest number of targets, including those of the gauge."""
-MAX_LISTED_NAMES = 12
+MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
@@ -60,7 +60,7 @@ class Scenario(TomlSection, Result):
     title: str = ""
     """Free text."""
     base: str | None = None
-    """Built-in scenario whose tables are defaults for those of this file; the value "none" removes a table."""
+    """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
     """Room, air and obstacles."""
     placing: Placing = Placing()
@@ -98,7 +98,7 @@ class Scenario(TomlSection, Result):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Targets of the mesh, then those of the gauge."""
+        """Names of the targets of the mesh, then of those of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
@@ -161,16 +161,14 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
 
 
 def _file_value(value: Any, *, effects: bool) -> Any:
-    """New value in the form of a file: effects (`lt.Effect` or names, alone or in a list) as their tables."""
+    """Value of a key as in a file: effects (`lt.Effect` objects or names, alone or in a list) become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
         return value
     given = [make_effect(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
-    return [
-        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | SizedEffect) else v
-        for v in given
-    ]
+    entries = (EffectEntry.from_effect(v) if isinstance(v, Effect | SizedEffect) else v for v in given)
+    return [e.model_dump(mode="json", exclude_defaults=True) if isinstance(e, EffectEntry) else e for e in entries]
 
 
 def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:
@@ -268,7 +266,7 @@ def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int)
 
 
 def even_filling_order(points: Floats) -> list[int]:
-    """Order of places (n, 3) in which they fill the room evenly, beginning with the one farthest from their centre."""
+    """Order (n,) in which places (n, 3) fill the room evenly, beginning with the place farthest from their centre."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):
@@ -309,7 +307,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
 def unknown_name_sentence(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
     """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
-        listed = ", ".join([*existing][:MAX_LISTED_NAMES]) + (" ..." if len(existing) > MAX_LISTED_NAMES else "")
+        listed = ", ".join([*existing][:MAX_NAMES_IN_ERROR]) + (" ..." if len(existing) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{quoted_text(name)}', which is not one of {listed or none}"
 
 

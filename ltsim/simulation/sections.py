@@ -77,8 +77,7 @@ class Obstacle(TomlSection):
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """True if the obstacle may extend beyond the room or below its floor, which otherwise is an
-    error for a CAD file.
+    """True if the obstacle may extend beyond the room or below its floor; otherwise this is an error of the CAD file.
     """
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box that replaces a file."""
@@ -97,7 +96,7 @@ class Obstacle(TomlSection):
 
 
 class Workshop(TomlSection):
-    """Room and its air, which is the same everywhere; its temperature may rise."""
+    """Room and its air. The air is the same everywhere; its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
     """Width, depth and height of the room; a corner is the origin, z is up."""
@@ -391,8 +390,12 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def of(cls, given: Effect | SizedEffect) -> Self:
+    def from_effect(cls, effect_with_sizes: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        effect, sizes = (given.effect, dict(given.parameter_values)) if isinstance(given, SizedEffect) else (given, {})
+        effect, sizes = (
+            (effect_with_sizes.effect, dict(effect_with_sizes.parameter_values))
+            if isinstance(effect_with_sizes, SizedEffect)
+            else (effect_with_sizes, {})
+        )
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

@@ -61,7 +61,7 @@ def measure_trial(
 ) -> tuple[Recording, Truth]:
     """Recording and truth of a trial on a fixed geometry; instrument errors, gauge calibration and noise are drawn.
 
-    `values` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in `TrialDraws.draw`.
+    `values` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in `TrialDistributions.draw`.
     """
     blank = error_free_recording(geometry)
     given = None if values is None else values[:, :, None]
@@ -151,7 +151,7 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, values: tu
 
 
 def occurring_blunders(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Blunder]:
-    """Blunders in a trial: those whose parameter is not 0."""
+    """Blunders that occur in a trial: their parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 

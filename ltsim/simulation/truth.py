@@ -177,7 +177,7 @@ class Truth(ResultFile):
     seed: int = 0
     """Root of the random draws."""
     trial: int = 0
-    """Number of the trial among those of its seed."""
+    """Number of the trial among the trials of its seed."""
     construction: str
     """Construction that generated the readings."""
     parameters: tuple[TrueInstrumentValue, ...] = ()
@@ -307,8 +307,8 @@ class Truth(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "instrument": lambda: INSTRUMENT_TABLE.filled([p.flat_name, p.value, p.unit] for p in self.parameters),
-            "targets": lambda: POINTS_TABLE.filled([p.name, *p.position_mm] for p in self.targets),
+            "instrument": lambda: INSTRUMENT_TABLE.with_rows([p.flat_name, p.value, p.unit] for p in self.parameters),
+            "targets": lambda: POINTS_TABLE.with_rows([p.name, *p.position_mm] for p in self.targets),
         }
 
 
@@ -340,4 +340,4 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL_TABLE.filled([p.name, *p.position_mm] for p in truth.nominal).csv()
+    return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal).csv()

@@ -28,8 +28,8 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     ----------
     source : Scenario, str or Path
     changes : mapping of str to value, optional
-        New values by dotted key, as in the file: ``{"instrument.noise_factor": 2.0}``; "none" takes a key out.
-        ``{"effects": [lt.Effect("index-drift", stations="S3")]}``: effects as objects, at sizes that the seed draws.
+        New values by dotted key, as in the file: ``{"instrument.noise_factor": 2.0}``; "none" removes a key. Effects
+        can be objects, whose sizes are drawn: ``{"effects": [lt.Effect("index-drift", stations="S3")]}``.
 
     Raises
     ------
@@ -63,19 +63,20 @@ def simulate(
     ----------
     source : Scenario, str or Path
     seed : int
-        Root of all random draws: the same seed and trial, the same recording.
+        Root of all random draws: equal seed and trial give the same recording.
     trial : int
-        Which of the trials that a campaign of this scenario and seed has: calibrated, the recording gives its row.
+        Number of the trial in a campaign of this scenario and seed; the calibration of the recording equals the row of
+        that trial.
     geometry : {`shared`, `per-trial`}
-        As the campaign's.
+        Stations and targets that are shared by all trials, or drawn for each trial, as in a campaign.
     changes : mapping of str to value, optional
-        As of `scenario`.
+        New values, as of `scenario`.
 
     Returns
     -------
     recording : Recording
     truth : Truth
-        Nothing that calibrates or diagnoses takes it.
+        True values, which no calibration or diagnosis reads.
 
     Raises
     ------

@@ -14,10 +14,9 @@ from ltsim.core.errors import NetworkError
 MAX_VERTEX_SEARCHES = 12
 """Largest number of searches of an optimal vertex with new perturbations."""
 CANDIDATE_ROWS_RATIO = 8
-"""Number of rows, in multiples of the number of unknowns, among which the first vertex is searched: those with the
-smallest residuals.
-"""
-PERTURBATION = 1e-6
+"""Number of rows with the smallest residuals among which the first vertex is searched, in multiples of the number of
+unknowns."""
+DATA_PERTURBATION = 1e-6
 """Size of the perturbation of rows, relative to the usual residual, that prevents more rows than unknowns from having
 zero residuals at one vertex.
 """
@@ -35,7 +34,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats 
     Parameters
     ----------
     design : (m, k) float
-        Of full rank.
+        Design matrix of full rank.
     observations : (m,) float
     start : (k,) float, optional
         Start point; the solution does not depend on it.
@@ -50,7 +49,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats 
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
     # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
     split = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
-    met = _optimal_vertex(design, observations + PERTURBATION * usual * split, x)
+    met = _optimal_vertex(design, observations + DATA_PERTURBATION * usual * split, x)
     return np.asarray(np.linalg.solve(design[met], observations[met]), dtype=np.float64)
 
 

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from ltsim.core.arrays import Floats, Ints
 
 MAX_SINGLE_BLOCK = 240
-"""Size up to which a matrix is treated as one block, because ordering it would cost more than it saves."""
+"""Size up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
 MIN_BORDER_COUPLING = 0.6
 """Fraction of all other columns to which a column of the border is coupled at least."""
 MIN_BLOCK_SIZE = 48
@@ -70,7 +70,7 @@ class BlockChain:
 
     Attributes
     ----------
-    block_of : (K,) int
+    block_of_column : (K,) int
         Block of each column; the number of blocks for the border.
     """
 

@@ -16,9 +16,9 @@ MAX_DENSE_ENTRIES = 600_000
 """Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
 
 ROWS_PER_PIECE = 30_000
-"""Rows of a sparse design that are worked on at a time: the work copies them."""
+"""Number of rows of a sparse design that are processed, and copied, at a time."""
 ENTRIES_PER_PIECE = 1_000_000
-"""Entries of a sparse design that are worked on at a time."""
+"""Number of entries of a sparse design that are processed at a time."""
 
 DesignMatrix: TypeAlias = Floats | sp.csr_array
 """Design matrix: a dense array, or a sparse matrix in row format."""
@@ -30,7 +30,7 @@ class SparsityPattern:
     Parameters
     ----------
     columns : sequence of (r, w) int
-        For each kind of row, in the order of the design, the column of each of its w entries; entries of the same
+        Column of each of the w entries of a row, for each kind of row in the order of the design; entries of the same
         column are added.
     size : int
         Number of columns of the design.
@@ -87,7 +87,7 @@ def scale_columns(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
 
 
 def iterate_row_pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
-    """Rows of a sparse design, some at a time, with every column times its scale."""
+    """Iterator over batches of rows of a sparse design, with every column multiplied by its scale."""
     for first in range(0, design.shape[0], ROWS_PER_PIECE):
         yield scale_columns(design[first : first + ROWS_PER_PIECE], scale)
 
@@ -110,7 +110,8 @@ def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
 
 
 MIN_RELIABLE_PIVOT = 1e-8
-"""Pivot of unit columns below which it may be a rounding error, so that the weakest direction is tested itself."""
+"""Pivot of unit columns below which the pivot may be a rounding error, so that the weakest direction is tested
+separately."""
 RANK_TOLERANCE = 1e-14
 """Squared length of the image of a unit vector under unit columns at or below which the direction is undetermined.
 
@@ -123,8 +124,7 @@ have rounding errors of 1e-15.
 
 POINT_RANK_TOLERANCE = 1e-10
 """Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which a direction of the point is
-undetermined: its standard deviation is 100,000 times that of the others.
-"""
+undetermined: its standard deviation is 100,000 times that of the other directions."""
 
 
 def scale_to_unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:

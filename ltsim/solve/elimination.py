@@ -154,15 +154,16 @@ class SparseElimination:
             self.column_scales[self._n_reduced :].reshape(-1, 3),
             sp.csr_array(self._elimination_coefficients.T),
         )
-        for g, mine, front in self._row_groups(order, edges):
+        front = scale_columns(sp.csr_array(self._design[order][:, : self._n_reduced]), self.column_scales)
+        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+            mine = order[low:high]
             if g < len(blocks):
                 carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
                 behind = back[mine] * scale[g]
                 leverage[mine] = np.sum((behind @ self._block_inverses[g]) * behind, axis=1)
-                reduced = dense_rows(front, 0, len(mine), columns)[0] * self.column_scales[columns] - behind @ carry
+                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
             else:
-                carry, (reduced, columns) = None, dense_rows(front, 0, len(mine))
-                reduced = reduced * self.column_scales[columns]
+                carry, (reduced, columns) = None, dense_rows(front, low, high)
             window = self._schur_factor.inverse_windows[int(self._first_chain_block(columns, axis=0))]
             at = window.columns[columns]
             inverse = window.inverse[at[:, None], at]
@@ -170,14 +171,6 @@ class SparseElimination:
             if carry is not None:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
-
-    def _row_groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
-        """Number of each group of rows, its rows, and these in the reduced columns.
-
-        Order and edges of `_rows_sorted_by_block`.
-        """
-        for g, (low, high) in enumerate(pairwise(edges.tolist())):
-            yield g, order[low:high], sp.csr_array(self._design[order[low:high]][:, : self._n_reduced])
 
     def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""
@@ -197,10 +190,7 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Rows (m,) sorted by the block that they touch, limits of these groups, and rows (m, 3) on their block.
-
-    Rows without a block are last.
-    """
+    """Rows (m,) sorted by block, limits of the groups, and their entries (m, 3); rows without a block are last."""
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
     block[rows[behind]] = (design.indices[behind] - n_reduced) // 3

@@ -11,7 +11,7 @@ from ltsim.core.errors import ConvergenceError
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 Point = TypeVar("Point")
-STEP_TOLERANCE = 1e-8
+SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in the metric of the normal matrix (standard deviations), below which the iteration has
 converged.
 """
@@ -111,7 +111,7 @@ def solve(problem: LeastSquaresProblem[Point], start: Point, *, max_iterations: 
         if not damping and length < MAX_ROUNDING_STEP and length > before / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < CERTAIN_CONVERGENCE_FRACTION * STEP_TOLERANCE * before < float("inf")
+        sure = length * length < CERTAIN_CONVERGENCE_FRACTION * SQUARED_STEP_TOLERANCE * before < float("inf")
         trial, before, near = problem.retract(x, step), length, length < MAX_STEP_FOR_REUSE and not damping
         if near and sure:
             system = _system_after(system, system.whitened_residuals, step)
@@ -123,12 +123,12 @@ def solve(problem: LeastSquaresProblem[Point], start: Point, *, max_iterations: 
                 return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         del factor  # two designs are enough in memory
         ahead, whole = problem.linearise(trial), damping < MAX_NEGLIGIBLE_DAMPING
-        if ahead.sum_of_squares <= system.sum_of_squares * (1 + 1e-12) + STEP_TOLERANCE or (
+        if ahead.sum_of_squares <= system.sum_of_squares * (1 + 1e-12) + SQUARED_STEP_TOLERANCE or (
             whole and length < MAX_ROUNDING_STEP
         ):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
-            if whole and length < STEP_TOLERANCE:
+            if whole and length < SQUARED_STEP_TOLERANCE:
                 return _finish(x, system, iteration, TerminationStatus.CONVERGED, held=held)
         elif damping > 1e8:
             return _finish(x, system, iteration, TerminationStatus.STALLED, held=held)
@@ -153,7 +153,7 @@ def _step_with_previous_design(
     """
     residual = problem.whitened_residuals(x)
     step = factor.step(residual)
-    if not _squared_step_length(system, step) < STEP_TOLERANCE:
+    if not _squared_step_length(system, step) < SQUARED_STEP_TOLERANCE:
         return None
     return problem.retract(x, step), _system_after(system, residual, step)
 

@@ -26,7 +26,7 @@ def single_threaded(
     """Decorator that limits the libraries' threads to one: faster for small matrices, and sums keep their order."""
 
     @wraps(function)
-    def limited(*args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs) -> DecoratedReturn:
+    def wrapper(*args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs) -> DecoratedReturn:
         if _IS_LIMITED.get():
             return function(*args, **kwargs)
         token = _IS_LIMITED.set(True)
@@ -36,4 +36,4 @@ def single_threaded(
         finally:
             _IS_LIMITED.reset(token)
 
-    return limited
+    return wrapper

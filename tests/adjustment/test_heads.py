@@ -22,7 +22,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
     told = {"stations": stations, "heads_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
-    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).target_derivatives
+    by_target = adjust(recording).problem.model.linearise(adjust(recording).state).target_derivatives
     readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)
     labels = {"target_setup": tuple(recording.stations[s] for s in recording.station)}
     setup = recording.setup.model_copy(update=told)

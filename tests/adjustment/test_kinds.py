@@ -120,7 +120,7 @@ def test_what_no_reading_ties_is_named():
     recording, _ = network()
     lonely = blanked(recording, (recording.target == 5) & (recording.station != 2), [0, 1, 2])
     lonely = blanked(lonely, (recording.target == 5) & (recording.station == 2), [0])
-    lonely = lonely.select(lonely.measured.any(axis=1))
+    lonely = lonely.select(lonely.is_measured.any(axis=1))
     assert [lonely.targets[t] for t in np.flatnonzero(initial_network(lonely)[1])] == ["T06"]
     nothing = blanked(recording, np.full(len(recording), True), [0, 2])
     with pytest.raises(NetworkError, match="station S1, S2"):
@@ -135,7 +135,7 @@ def test_a_target_that_loses_its_azimuths_is_left_out_and_the_rest_adjusted(robu
     lonely = blanked(recording, here & (recording.station == 2), [0, 1, 2])
     lonely = blanked(lonely, here & (recording.station < 2), [1, 2] if robust else [1])
     lonely = blanked(lonely, here & (recording.station == 1), [0])
-    lonely = lonely.select(lonely.measured.any(axis=1))
+    lonely = lonely.select(lonely.is_measured.any(axis=1))
     found = adjust(lonely, misalignment_construction(), robust=robust)
     name = f"T{target + 1:02d}"
     assert found.undetermined_targets == (name,)
@@ -489,7 +489,7 @@ def test_any_readings_may_be_missing(kind, seed):
     lost = stream(seed, "lost").uniform(size=recording.readings.shape)
     share = [(0.6, 0, 0), (0.25, 0.25, 0.25), (0.9, 0, 0)][seed % 3]
     recording = recording.with_readings(np.where(lost < share, np.nan, recording.readings))
-    recording = recording.select(recording.measured.any(axis=1))
+    recording = recording.select(recording.is_measured.any(axis=1))
     found = adjust(recording)
     assert found.p_value > 1e-5
     assert not found.is_gross_pointing.any()

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import in_axes_of_points, with_control_points
+from ltsim.adjustment.axes import with_axes_of_points, with_control_points
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
@@ -93,7 +93,9 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
         recording = network(seed=seed, stations=3)[0]
         noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
-        blamed += any(test.is_excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axis_tests)
+        blamed += any(
+            test.is_excluded for test in adjust(with_axes_of_points(recording, points, "hall.csv")).axis_tests
+        )
     assert blamed <= 5
 
 
@@ -244,10 +246,10 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
     for name in SIX:
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
         points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
-        found = adjust(in_axes_of_points(recording, points, "hall.csv"))
+        found = adjust(with_axes_of_points(recording, points, "hall.csv"))
         assert [test.name for test in found.axis_tests if test.is_excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
-        sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
+        sound = adjust(with_axes_of_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.target_points, sound.state.target_points, atol=1e-8)
 
 

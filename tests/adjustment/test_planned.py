@@ -37,7 +37,7 @@ def test_a_plan_that_leaves_a_station_open_is_refused_with_its_name() -> None:
 
 def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
     recording, state = workshop(faces=2)
-    there = state.incremented(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
+    there = state.with_increments(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
     order = np.random.default_rng(0).permutation(len(recording))
     rows = {name: getattr(recording, name)[order] for name in ("station", "target", "face", "repeat", "time")}
     moved = recording.replace(**rows, readings=recording.readings[order])

@@ -120,12 +120,12 @@ def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> Non
         truth.station_positions, truth.station_rotations, truth.target_points, np.zeros((1, construction.n_parameters))
     )
     pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.target_points.shape))
-    there = model.linearised(state)
+    there = model.linearise(state)
     first = np.einsum("nij,nj->ni", there.pose_derivatives, pose[recording.station])
     first += np.einsum("nij,nj->ni", there.target_derivatives, points[recording.target])
     zero = np.zeros_like(state.instrument_parameters), np.zeros(0)
-    exact = model.predict(state.incremented(pose, points, *zero)) - model.predict(
-        state.incremented(-pose, -points, *zero)
+    exact = model.predict(state.with_increments(pose, points, *zero)) - model.predict(
+        state.with_increments(-pose, -points, *zero)
     )
     exact[:, 1] = wrap_angle(exact[:, 1])
     np.testing.assert_allclose(exact / 2, first, atol=1e-12)

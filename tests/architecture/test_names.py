@@ -18,6 +18,41 @@ WORDS = {
     *("said", "seen", "some", "stated", "stray", "told"),
 }
 """Words that say when or by whom a value came to be, and not what it is."""
+ADJECTIVES = {
+    *("alone", "clear", "clean", "coarse", "common", "dense", "different", "distinct", "early", "equal", "equivalent"),
+    *("even", "far", "fine", "flat", "full", "further", "idle", "joint", "large", "late", "likely", "long", "loose"),
+    *("loud", "near", "new", "odd", "old", "only", "other", "plain", "quiet", "raw", "safe", "same", "separate"),
+    *("sharp", "short", "silent", "similar", "slight", "small", "sparse", "still", "sure", "tight", "tiny", "unlikely"),
+    *("whole", "wide", "best", "worst", "coarsest", "finest", "largest", "likeliest", "smallest"),
+    *("finer", "larger", "smaller", "wider", "worse"),
+}
+"""Adjectives, which say how a value is, and not what it is."""
+PARTICIPLES = {
+    *(
+        "bent",
+        "bound",
+        "broken",
+        "built",
+        "chosen",
+        "drawn",
+        "felt",
+        "given",
+        "grown",
+        "held",
+        "hidden",
+        "lost",
+        "made",
+    ),
+    *("met", "shown", "sought", "spent", "swept", "taken", "thrown", "worn", "written"),
+}
+"""Irregular participles, which say when a value came to be; regular ones end in `ed`."""
+NOUNS_AND_VERBS = {"embed", "feed", "need", "proceed", "red", "seed", "speed"}
+"""Words in `ed` that are no participles."""
+PREPOSITIONS = {
+    *("across", "after", "against", "along", "among", "around", "at", "before", "beneath", "between", "beyond"),
+    *("during", "in", "of", "on", "onto", "over", "through", "towards", "under", "upon", "within"),
+}
+"""Prepositions: a name that begins with one lacks the noun. `by`, `from`, `to`, `with` and `without` are customary."""
 KEYS = {"known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes"}
 """Keys of setup.toml that the format of a recording fixes."""
 
@@ -53,6 +88,83 @@ def offences(part: str) -> list[str]:
         names = [(line, name) for line, name in names if name not in KEYS]
         bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in names if words_of(name) & WORDS]
     return bad
+
+
+def is_stored_name(node: ast.AST) -> bool:
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+
+
+def constants(tree: ast.Module) -> Iterator[tuple[int, str, str]]:
+    """Line, name and value of each constant of a module; the values of a tuple are those of its members."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [n.id for t in targets for n in ast.walk(t) if is_stored_name(n)]
+            values = node.value.elts if len(names) > 1 and isinstance(node.value, ast.Tuple) else [node.value]
+            for name, value in zip(names, values, strict=len(names) == len(values)):
+                if name.isupper():
+                    yield node.lineno, name, ast.unparse(value)
+
+
+def is_without_noun(name: str) -> bool:
+    """True for one word that is a participle or an adjective, and for a name that begins with a preposition."""
+    words = [word.lower() for word in name.split("_") if word]
+    word = words[0] if words else ""
+    is_participle = word in PARTICIPLES or (word.endswith("ed") and word not in NOUNS_AND_VERBS)
+    return word in PREPOSITIONS or (len(words) == 1 and (is_participle or word in ADJECTIVES))
+
+
+def lacks_decision(constant: str) -> bool:
+    """True for a constant such as `MAX_LISTED_ESTIMATES`: a limit is `MAX_...` or `MIN_...` of a named quantity."""
+    return constant.strip("_").split("_")[0] in ("LEAST", "MOST", "FEW", "MANY", "MOSTLY")
+
+
+def nameless(part: str) -> list[str]:
+    """Places of a package, or of a module beside the packages, whose functions or constants have no noun."""
+    folder, bad = PACKAGE / part, []
+    for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        functions = [(n.lineno, n.name) for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
+        limits = [(line, name) for line, name, _ in constants(tree)]
+        names = [(line, name) for line, name in functions + limits if is_without_noun(name)]
+        names += [(line, name) for line, name in limits if lacks_decision(name)]
+        bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in sorted(set(names))]
+    return bad
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_functions_and_constants_have_a_noun(part: str) -> None:
+    bad = nameless(part)
+    assert not bad, "\n".join(["name the value with a noun, and a limit as MAX_ or MIN_:", *bad])
+
+
+def test_a_constant_has_one_value() -> None:
+    values: dict[str, dict[str, list[str]]] = {}
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for line, name, value in constants(ast.parse(file.read_text(encoding="utf-8"))):
+            place = f"{file.relative_to(PACKAGE.parent)}:{line}"
+            if not name.startswith("_"):
+                values.setdefault(name, {}).setdefault(value, []).append(place)
+    bad = [f"{name}: {places}" for name, places in values.items() if len(places) > 1]
+    assert not bad, "\n".join(["a constant of another value has another name:", *bad])
+
+
+@pytest.mark.parametrize("name", ["_judged", "drawn", "_whole", "swept", "silent", "AT_ONCE", "_of_face", "among"])
+def test_a_name_without_noun_is_an_offence(name: str) -> None:
+    assert is_without_noun(name)
+
+
+@pytest.mark.parametrize("name", ["seed", "is_drawn", "draw_places", "with_rows", "by_name", "MAX_NAMES", "run_check"])
+def test_a_name_with_noun_or_verb_is_none(name: str) -> None:
+    assert not is_without_noun(name)
+
+
+def test_a_limit_says_what_it_limits() -> None:
+    tree = ast.parse("MOST_OPTIMA, LEAST = 3, 0.1\n_MANY = 3\nMAX_NAMES: int = 4\nlower = MOST_OPTIMA\n")
+    assert [(name, value) for _, name, value in constants(tree)] == [
+        ("MOST_OPTIMA", "3"), ("LEAST", "0.1"), ("_MANY", "3"), ("MAX_NAMES", "4"),
+    ]  # fmt: skip
+    assert [name for _, name, _ in constants(tree) if lacks_decision(name)] == ["MOST_OPTIMA", "LEAST", "_MANY"]
 
 
 @pytest.mark.parametrize("part", PARTS)

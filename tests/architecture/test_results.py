@@ -16,7 +16,7 @@ import ltsim as lt
 from ltsim.core.descriptions import descriptions
 from ltsim.core.results import Result
 from ltsim.recordings.result_file import ResultFile
-from ltsim.reports.schemas import FILES, RESULTS
+from ltsim.reports.schemas import FILE_MODELS, RESULT_MODELS
 
 FILE_OF: dict[str, str] = {
     "accept": "accept.json",
@@ -52,7 +52,7 @@ def returned(verb: str) -> Any:
 def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> None:
     kind = returned(verb)
     assert issubclass(kind, ResultFile) and issubclass(kind, Result)
-    assert FILES[file] is kind and file == kind.FILE and kind in RESULTS
+    assert FILE_MODELS[file] is kind and file == kind.FILE and kind in RESULT_MODELS
     assert descriptions(kind).keys() == kind.model_fields.keys(), f"{kind.__name__} has a field without a description"
 
 
@@ -62,7 +62,7 @@ def test_every_verb_with_a_file_is_listed() -> None:
     kinds = {name: returned(name) for name in verbs if name != "simulate"}
     models = {name for name, kind in kinds.items() if inspect.isclass(kind) and issubclass(kind, ResultFile)}
     assert models | {"simulate"} == set(FILE_OF)
-    assert len({model.FILE for model in RESULTS}) == len(RESULTS)
+    assert len({model.FILE for model in RESULT_MODELS}) == len(RESULT_MODELS)
 
 
 def test_no_result_is_declared_twice() -> None:
@@ -77,8 +77,8 @@ def test_no_result_is_declared_twice() -> None:
         for kind in vars(module).values()
         if inspect.isclass(kind) and kind.__module__ == name
     }
-    assert {kind for kind in classes if issubclass(kind, ResultFile)} - {ResultFile} == set(RESULTS)
-    fields = {model.__name__: set(model.model_fields) - set(ResultFile.model_fields) for model in RESULTS}
+    assert {kind for kind in classes if issubclass(kind, ResultFile)} - {ResultFile} == set(RESULT_MODELS)
+    fields = {model.__name__: set(model.model_fields) - set(ResultFile.model_fields) for model in RESULT_MODELS}
     assert [
         f"{kind.__name__} repeats {name}"
         for kind in classes

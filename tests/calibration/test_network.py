@@ -114,7 +114,7 @@ def joint_covariance(adjustment, names=None) -> np.ndarray:
     whole = adjustment.factorised_normals.covariance_columns(np.eye(adjustment.problem.unknowns.n_columns))[
         np.ix_(at, at)
     ]
-    return adjustment.in_inner_datum(names).datum.transform_covariance(whole[None], at[None])[0]
+    return adjustment.with_inner_datum(names).datum.transform_covariance(whole[None], at[None])[0]
 
 
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
@@ -131,7 +131,7 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     free = (scaled[:, at] - basis @ (basis.T @ scaled[:, at])) * scale[at]
     dense = np.linalg.pinv(free.T @ free, rcond=1e-10, hermitian=True)
     inner = joint_covariance(adjustment)
-    blocks = adjustment.in_inner_datum().target_covariance
+    blocks = adjustment.with_inner_datum().target_covariance
     assert np.allclose(
         blocks, [inner[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(28)], atol=1e-12 * inner.max()
     )
@@ -150,7 +150,7 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
     assert np.trace(inner[np.ix_(at, at)]) < np.trace(whole[np.ix_(at, at)])
     assert np.trace(inner) > np.trace(whole)
     with pytest.raises(ModelError, match="three that are not on one line"):
-        adjustment.in_inner_datum(names[:2])
+        adjustment.with_inner_datum(names[:2])
 
 
 def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:

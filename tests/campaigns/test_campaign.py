@@ -130,8 +130,9 @@ from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 
 if __name__ == "__main__":
     print("begun", flush=True)
-    options = {"workers": WorkerSettings(jobs=int(sys.argv[3])), "progress": lambda trials: print(trials, flush=True)}
-    run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, **options)
+    workers = WorkerSettings(n_processes=int(sys.argv[3]))
+    progress = lambda trials: print(trials, flush=True)
+    run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, workers=workers, progress=progress)
 """
 
 
@@ -394,7 +395,7 @@ def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     file.write_text(FILE.replace("[grid]", '[[methods]]\n[[methods]]\nname = "none"\nconstruction = "ideal"\n[grid]'))
     run_campaign(file, tmp_path / "out")
     results = CampaignResults(tmp_path / "out")
-    gap = results.paired("target_error_um", method=("none", "network")).entries
+    gap = results.paired_differences("target_error_um", method=("none", "network")).entries
     assert [g.trials for g in gap] == [600, 600] and [g.settings for g in gap] == results.levels
     means = {(s.cell, s.method): s.mean for s in results.distribution("target_error_um")}
     assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)

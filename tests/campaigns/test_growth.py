@@ -15,7 +15,7 @@ from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
-from ltsim.reports.sections.campaign import MAX_ROWS
+from ltsim.reports.sections.campaign import MAX_CELL_ROWS
 
 FILE = """
 format = "ltsim-campaign/1"
@@ -107,7 +107,7 @@ def test_a_smaller_file_loses_nothing(begun: tuple[Path, Path]) -> None:
     ("change", "says"),
     [
         (("[1.0, 2.0]", "[1.0, 3.0]"), "changed since"),
-        (("[1.0, 2.0]", '[1.0, 2.0]\n"work.faces" = [1, 2]'), "a further factor needs another --out"),
+        (("[1.0, 2.0]", '[1.0, 2.0]\n"work.faces" = [1, 2]'), "a different factor needs another --out"),
     ],
 )
 def test_rows_that_would_change_stay(change: tuple[str, str], says: str, begun: tuple[Path, Path]) -> None:
@@ -138,7 +138,7 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.long
 def test_many_cells_are_told_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "many.toml"
-    levels = [1 + k / 100 for k in range(MAX_ROWS // 2 + 1)]
+    levels = [1 + k / 100 for k in range(MAX_CELL_ROWS // 2 + 1)]
     grid = f'[grid]\n"instrument.noise_factor" = {levels}\n"work.faces" = [1, 2]\n'
     file.write_text(FILE.partition("[grid]")[0].replace("trials = 24", "trials = 2") + grid)
     assert run(["campaign", str(file)]) == 0

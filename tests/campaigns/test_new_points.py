@@ -138,7 +138,9 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     methods = [{"method": "network"}, {"method": "distance"}]
     made = campaign(methods=methods, grid={"work.faces": [1, 2]}, statistics=["errors"], judge_in="paper-laboratory")
     results = lt.campaign(made.model_dump(mode="json", exclude_none=True), out=tmp_path / "out")
-    (face_1, face_2) = results.paired("new_point_error_calibrated_um", method=("distance", "network")).entries
+    (face_1, face_2) = results.paired_differences(
+        "new_point_error_calibrated_um", method=("distance", "network")
+    ).entries
     assert [e.settings for e in (face_1, face_2)] == [{"faces": 1}, {"faces": 2}] and face_1.unit == "um"
     assert face_1.low < face_1.difference < face_1.high and face_1.trials == 48
     values = results.to_dataframe("rows").pivot_table(
@@ -148,7 +150,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     assert face_1.difference == pytest.approx(gap.mean(), rel=1e-6)
     apart = np.sqrt(values["distance"][0].var() + values["network"][0].var())
     assert gap.std() < 0.9 * apart  # the draws are common
-    faces = results.paired("share_removed", faces=(2, 1))
+    faces = results.paired_differences("share_removed", faces=(2, 1))
     assert [e.settings for e in faces.entries] == [{"method": "network"}, {"method": "distance"}]
     frame = results.to_dataframe("rows").query("method == 'network'")
     shares = [
@@ -160,7 +162,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     assert spread.mean == pytest.approx(shares[0], rel=1e-5) and spread.low < spread.mean < spread.high
     for wrong in ({"method": ("distance", "nothing")}, {"face": (1, 2)}, {"faces": (1, 3)}):
         with pytest.raises(ModelError):
-            results.paired("target_error_um", **wrong)
+            results.paired_differences("target_error_um", **wrong)
 
 
 def test_every_column_of_rows_is_defined_once() -> None:

@@ -19,8 +19,8 @@ from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number_text
 from ltsim.reports.document import TableBlock
-from ltsim.reports.figures.campaign import swept
-from ltsim.reports.figures.campaign_factors import cell_words
+from ltsim.reports.figures.campaign import sweep_points
+from ltsim.reports.figures.campaign_factors import cell_descriptions
 from ltsim.reports.sections.campaign import campaign_section
 from tests.families import family
 
@@ -62,8 +62,8 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
     figure = sweep.plot("new_point_error_calibrated_um", "angle_noise_arcsec", panel="faces")
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["faces 1", "faces 2"]
     assert figure.get_supxlabel() == "angle noise [arcsec]" and "new point error" in figure.get_supylabel()
-    one = swept(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
-    assert [(row.x, row.line) for row in one] == [(1, "network"), (2, "network")]
+    one = sweep_points(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
+    assert [(row.level, row.line) for row in one] == [(1, "network"), (2, "network")]
     with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
         sweep.plot("target_error_um", "angle_noise_arcsecs")
     with pytest.raises(ModelError, match=r"several cells have the same place.*faces"):
@@ -104,7 +104,7 @@ def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:
     cells = [{"title": "all"}, {"title": "without S5", "stations.S5": "none"}]
     made = lt.campaign(SWEEP | {"cells": cells, "methods": [{}]}, out=tmp_path / "cells")
     assert [factor.name for factor in made.factors] == ["title"]
-    assert cell_words(made) == {0: "all", 1: "without S5"}
+    assert cell_descriptions(made) == {0: "all", 1: "without S5"}
 
 
 def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:

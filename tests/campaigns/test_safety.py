@@ -90,8 +90,8 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, the grid makes 5000"),
-        (("trials = 600\nshard = 256", "trials = 1000000000\nshard = 1"), "give a larger shard"),
+        (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, but the grid gives 5000"),
+        (("trials = 600\nshard = 256", "trials = 1000000000\nshard = 1"), "increase shard"),
     ],
 )
 def test_a_campaign_that_nobody_could_keep_is_a_sentence(

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.cli.simulate import DEMO_EFFECTS, STEPS, calibrated, simulated
+from ltsim.cli.simulate import DEMO_EFFECTS, DEMO_STEPS, calibrate_workshop, simulate_workshop
 from ltsim.core.randomness import stream
 from ltsim.physics.effects import find_effect
 
 
 def test_first_steps(tmp_path: Path) -> None:
-    assert "5 stations, 28 reflectors, 140 pointings" in simulated(tmp_path, 1)
-    assert "stations agree about distances" in calibrated(tmp_path, 1)
+    assert "5 stations, 28 reflectors, 140 pointings" in simulate_workshop(tmp_path, 1)
+    assert "stations agree about distances" in calibrate_workshop(tmp_path, 1)
     found = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     assert {
         "workshop/recording/observations.csv",
@@ -40,7 +40,7 @@ def test_the_whole_demonstration(capsys, tmp_path: Path, seed: str) -> None:
     assert run(["demo", "--out", str(tmp_path), "--seed", seed, "--json"]) == 0
     assert time.process_time() - began < 60  # not the wall's clock: the machine may be busy with other things
     content = json.loads(capsys.readouterr().out)
-    assert len(content["steps"]) == len(STEPS)
+    assert len(content["steps"]) == len(DEMO_STEPS)
     assert (tmp_path / "report.html").stat().st_size > 100_000
     verdict = json.loads((tmp_path / "concealed" / "diagnosis.json").read_text())
     hidden = json.loads((tmp_path / "concealed" / "truth.json").read_text())["effects"][0]["effect"]

@@ -31,7 +31,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(effects, "entry", broken)
+    monkeypatch.setattr(effects, "catalogue_entry_json", broken)
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said
@@ -95,11 +95,11 @@ def test_an_interrupted_campaign_says_what_is_kept(
 
 
 def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(terminal, "PROGRESS_DELAY", 0.01)
+    monkeypatch.setattr(terminal, "PROGRESS_DELAY_S", 0.01)
     for quiet in (False, True):
         told = io.StringIO()
         monkeypatch.setattr(sys, "stderr", told)
-        with Terminal(quiet).progress("trials", 200) as advance:
+        with Terminal(quiet).show_progress("trials", 200) as advance:
             advance(7)
             deadline = time.monotonic() + 60
             while "7 of 200" not in told.getvalue() and not quiet and time.monotonic() < deadline:
@@ -120,7 +120,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(effects, "entry", stop)
+    monkeypatch.setattr(effects, "catalogue_entry_json", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; no partial file remains\n"
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 import ltsim as lt
-from ltsim.cli.main import VERBS, verb_of
-from ltsim.cli.options import command_of
+from ltsim.cli.main import COMMANDS, command_function
+from ltsim.cli.options import typer_command
 
 TERMINAL = {"out", "force", "terminal", "show"}
 """Where results go and what is printed: the command's own affair."""
@@ -39,12 +39,12 @@ ONLY_THERE: dict[str, set[str]] = {
 SPELLED = {"scale": "scaled", "source": None, "scenario": None, "second": None, "file": None, "sources": None}
 OTHERS = {"demo", "effects", "examples", "campaign", "plan", "view", "report", "simulate"}
 """Verbs that say more than one function, or whose function is about objects."""
-SAME = sorted(set(VERBS) - OTHERS)
+SAME = sorted(set(COMMANDS) - OTHERS)
 
 
 def of_command(verb: str) -> dict[str, Any]:
     """Options of a verb with their defaults."""
-    parameters = inspect.signature(command_of(verb, verb_of(verb))).parameters
+    parameters = inspect.signature(typer_command(verb, command_function(verb))).parameters
     return {name: parameter.default for name, parameter in parameters.items()}
 
 

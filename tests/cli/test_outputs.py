@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import typer
 
-from ltsim.cli.main import VERBS, run, verb_of
-from ltsim.cli.options import _outputs, command_of
+from ltsim.cli.main import COMMANDS, command_function, run
+from ltsim.cli.options import _output_options, typer_command
 
 INPUTS = {
     "after", "against", "cad", "calibration", "control", "file", "frame", "history", "nominal", "place", "plan",
@@ -24,21 +24,26 @@ INPUTS = {
 def command(verb: str) -> Any:
     """The verb as the parser knows it."""
     made = typer.Typer(add_completion=False)
-    made.command(verb)(command_of(verb, verb_of(verb)))
+    made.command(verb)(typer_command(verb, command_function(verb)))
     return typer.main.get_command(made)
 
 
 def outputs_of(verb: str) -> dict[str, str]:
     """Spelling of the options and arguments of a verb that are marked as outputs, by name."""
-    return {name: flag for name, flag, _ in _outputs([*signature(command_of(verb, verb_of(verb))).parameters.values()])}
+    return {
+        name: flag
+        for name, flag, _ in _output_options(
+            [*signature(typer_command(verb, command_function(verb))).parameters.values()]
+        )
+    }
 
 
-OUTPUTS = [(verb, name, flag) for verb in VERBS for name, flag in outputs_of(verb).items()]
+OUTPUTS = [(verb, name, flag) for verb in COMMANDS for name, flag in outputs_of(verb).items()]
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_every_path_is_marked_as_an_output_or_listed_as_an_input(verb: str) -> None:
-    parameters = signature(command_of(verb, verb_of(verb))).parameters
+    parameters = signature(typer_command(verb, command_function(verb))).parameters
     paths = {p.name for p in command(verb).params if re.search("FILE|DIR|REC|IN$|OUT$|SCENARIO", p.metavar or "")}
     paths |= {name for name, parameter in parameters.items() if "Path" in str(parameter.annotation)}
     assert paths - outputs_of(verb).keys() <= INPUTS

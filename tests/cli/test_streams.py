@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.cli.main import VERBS, run
+from ltsim.cli.main import COMMANDS, run
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -57,7 +57,7 @@ def test_a_verb_does_its_work_whatever_the_streams_are(streams: str, inputs: Pat
 
 @pytest.mark.long
 @pytest.mark.parametrize("streams", CLOSED)
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_no_verb_has_a_fault_whatever_the_streams_are(verb: str, streams: str, inputs: Path) -> None:
     for words in (f"{verb} --help", f"{verb} no-such-file", f"{verb} --no-such-option"):
         done = shell(inputs, words, streams)
@@ -86,9 +86,11 @@ def test_names_that_a_terminal_cannot_print_are_escaped(encoding: str, verbs: li
 
 def test_warnings_do_not_reach_the_user(inputs: Path) -> None:
     code = (
-        "import warnings; from ltsim.cli import effects, streams; from ltsim.cli.main import run; streams.prepare()\n"
+        "import warnings; from ltsim.cli import effects, streams; from ltsim.cli.main import run\n"
         "import numpy as np\n"
-        "effects.entry = lambda effect: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers')\n"
+        "streams.prepare_streams()\n"
+        "warning = lambda effect: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers')\n"
+        "effects.catalogue_entry_json = warning\n"
         "run(['effects'])"
     )
     asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

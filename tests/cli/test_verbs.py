@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import ltsim.cli
-from ltsim.cli.main import VERBS, run
+from ltsim.cli.main import COMMANDS, run
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import align_columns
 from ltsim.physics.effects import CATALOGUE, catalogue_entry
@@ -33,7 +33,7 @@ def workplace(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_every_verb_has_help_with_an_example(verb: str, capsys) -> None:
     assert run([verb, "--help"]) == 0
     text = capsys.readouterr().out
@@ -45,7 +45,7 @@ def test_every_verb_has_help_with_an_example(verb: str, capsys) -> None:
 def test_help_without_arguments(capsys) -> None:
     assert run([]) == 0
     text = capsys.readouterr().out
-    assert all(verb in text for verb in VERBS)
+    assert all(verb in text for verb in COMMANDS)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def loaded_by(*commands: list[str]) -> set[str]:
 
 
 def test_help_of_every_verb_waits_for_nothing_heavy() -> None:
-    loaded = loaded_by(["--help"], ["--version"], *([verb, "--help"] for verb in VERBS if verb not in NUMERIC))
+    loaded = loaded_by(["--help"], ["--version"], *([verb, "--help"] for verb in COMMANDS if verb not in NUMERIC))
     assert not (HEAVY | {"numpy"}) & loaded
 
 
@@ -265,7 +265,7 @@ def test_the_shell_completes_verbs_and_options(shell: str) -> None:
 def test_every_module_of_a_verb_is_listed() -> None:
     folder = Path(ltsim.cli.__file__).parent
     helpers = {"__init__", "main", "options", "places", "streams", "terminal"}
-    assert {path.stem for path in folder.glob("*.py")} - helpers == {module for module, _ in VERBS.values()}
+    assert {path.stem for path in folder.glob("*.py")} - helpers == {module for module, _ in COMMANDS.values()}
 
 
 def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltsim.core.notation import expanded, number_text, with_sigma
+from ltsim.core.notation import number_text, with_expanded_uncertainty, with_sigma
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ def test_value_and_sigma_end_at_the_second_digit_of_sigma(value: float, sigma: f
 
 
 def test_expanded_uncertainty_says_its_factor() -> None:
-    assert expanded(1.2345, 0.2, "um") == "1.23 um, U = 0.20 um (k = 2)"
+    assert with_expanded_uncertainty(1.2345, 0.2, "um") == "1.23 um, U = 0.20 um (k = 2)"
 
 
 def test_number_has_no_exponent_where_it_can_be_avoided() -> None:

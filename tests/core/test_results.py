@@ -51,11 +51,11 @@ class Cloud(Result):
         return [f"{self.name}: {len(self.points)} points"]
 
     def _tables(self) -> Any:
-        return {"points": lambda: POINTS.filled(ROWS), "plain": lambda: {"n": [1, 2], "what": ["a", "b"]}}
+        return {"points": lambda: POINTS.with_rows(ROWS), "plain": lambda: {"n": [1, 2], "what": ["a", "b"]}}
 
 
 def test_a_table_is_written_and_read_back():
-    text = POINTS.filled(ROWS).csv()
+    text = POINTS.with_rows(ROWS).csv()
     assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
     again = POINTS.parse_csv(text)
     assert again.column("target") == ["=T1", "T2"]
@@ -69,7 +69,7 @@ def test_a_table_is_written_and_read_back():
 
 
 def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
-    table = POINTS.filled(ROWS)
+    table = POINTS.with_rows(ROWS)
     assert table.headings == ["target", "x [mm]", "share [%]", "moved"]
     assert table.cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
     assert table.meanings["x [mm]"] == "coordinate"
@@ -83,11 +83,11 @@ def test_rows_come_from_sequences_mappings_and_objects():
         what: str
 
     table = Table("rows.csv", "rows", (*numbers(n="number"), *texts(what="word")))
-    made = [table.filled(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
+    made = [table.with_rows(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
     assert made[0] == made[1] == made[2]
     assert made[0].json() == [{"n": 1, "what": "a"}]
     with pytest.raises(ModelError, match="has 1 cells for 2 columns"):
-        table.filled([(1,)])
+        table.with_rows([(1,)])
 
 
 def test_a_result_gives_its_tables_by_name():
@@ -185,7 +185,7 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
         lt.view("paper-workshop"),
         lt.plan(plan),
         campaign,
-        campaign.paired("target_error_um", method=("network", "distance")),
+        campaign.paired_differences("target_error_um", method=("network", "distance")),
     ]
 
 

@@ -65,6 +65,6 @@ def test_a_network_high_above_its_datum_without_a_clock_is_diagnosed():
     readings = recording.readings.copy()
     readings[:, 1] += 9e-6 * np.sin(3 * readings[:, 1])
     found = diagnose(recording.replace(setup=setup, readings=readings, has_clock=False, time=np.arange(84.0)))
-    assert found.adjusted.state.target_points[:, 2].min() > 390.0
+    assert found.final_adjustment.state.target_points[:, 2].min() > 390.0
     assert found.verdict == "mismatch"
     assert all(p.unit not in ("s", "min", "h") for f in found.findings for p in f.parameters)

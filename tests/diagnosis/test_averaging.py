@@ -7,7 +7,14 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.averaging import HARM, WORSE, averaged, first_order_change, model_weights, safe_share
+from ltsim.diagnosis.averaging import (
+    MAX_ERROR_INCREASE,
+    P_ERROR_INCREASE_EXCEEDED,
+    average_over_explanations,
+    first_order_change,
+    model_weights,
+    safe_fraction,
+)
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.geometry.rigid import remove_rigid_motion
@@ -23,22 +30,22 @@ from tests.networks import network
 def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
     """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
     count, spread = 60, size * along
-    share = safe_share(size, spread, 1.0)
+    share = safe_fraction(size, spread, 1.0)
     rng = stream(8, "safe")
     error = rng.standard_normal((20_000, count)) * np.sqrt([along, *np.full(count - 1, (1.0 - along) / (count - 1))])
     shift = np.zeros(count)
     shift[0] = np.sqrt(size)
     before, after = (np.sum((error + part * shift) ** 2, axis=1) for part in (1.0, 1.0 - share))
-    harmed = float(np.mean(after > (1.0 + WORSE) ** 2 * before))
-    assert harmed < 2.5 * HARM  # e'e is taken to be its expectation
+    harmed = float(np.mean(after > (1.0 + MAX_ERROR_INCREASE) ** 2 * before))
+    assert harmed < 2.5 * P_ERROR_INCREASE_EXCEEDED  # e'e is taken to be its expectation
     if 0.05 < share < 1.0 and along < 0.1:
-        assert harmed > 0.5 * HARM
+        assert harmed > 0.5 * P_ERROR_INCREASE_EXCEEDED
 
 
 def test_a_law_that_does_much_is_taken_off_whole():
-    assert safe_share(100.0, 1.0, 1.0) == 1.0
-    assert safe_share(0.0, 0.0, 1.0) == 1.0
-    assert safe_share(1.0, 1.0, 1.0) < 0.5
+    assert safe_fraction(100.0, 1.0, 1.0) == 1.0
+    assert safe_fraction(0.0, 0.0, 1.0) == 1.0
+    assert safe_fraction(1.0, 1.0, 1.0) < 0.5
 
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
@@ -46,8 +53,8 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     case = SelectionState(baseline, baseline.problem.used_readings, 0)
     elevation = RESPONSES_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
-    fitted = case.refit(laws, case.sigma)
-    found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
+    fitted = case.refit(laws, case.reading_sigmas)
+    found = case.searcher.model_of([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
     linear = -case.searcher.space.target_shifts(first_order_change(case.searcher, found))
@@ -57,10 +64,12 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
-    targets, change = averaged(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
     refitted = np.zeros_like(change)
-    refitted[case.use] = first_order_change(case.searcher, found)[: int(case.use.sum())] * case.sigma[case.use]
-    assert np.linalg.norm((refitted + change) / case.sigma) < np.linalg.norm(refitted / case.sigma)
+    refitted[case.is_used] = (
+        first_order_change(case.searcher, found)[: int(case.is_used.sum())] * case.reading_sigmas[case.is_used]
+    )
+    assert np.linalg.norm((refitted + change) / case.reading_sigmas) < np.linalg.norm(refitted / case.reading_sigmas)
     assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)
 
 
@@ -73,7 +82,7 @@ def test_noise_moves_no_target() -> None:
     )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)
-    weights, changes = model_weights(case.searcher, case.searcher.empty, law, ranking, 1.0)
+    weights, changes = model_weights(case.searcher, case.searcher.empty_model, law, ranking, 1.0)
     assert weights.sum() == pytest.approx(1.0)
     moving = np.any(changes != 0.0, axis=1)
     assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)

@@ -9,8 +9,8 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, likelihood_information, log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
-from ltsim.diagnosis.prior import log_share
+from ltsim.diagnosis.instruments import ConstantChange, ExpectedConstants, compare_constants, find_contradictions
+from ltsim.diagnosis.prior import log_prior_share
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -46,8 +46,8 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
         adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, unit, unit
     )
     expected = 0.04 * np.eye(32)
-    changes = tuple(Change((1,), k, "nothing") for k in range(16))
-    found = compared(adjustment, Expected(np.zeros(32), expected, changes), 2.0)
+    changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))
+    found = compare_constants(adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0)
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
     seen = np.linalg.eigh(said.information)
@@ -63,13 +63,13 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     for t, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
-    log = float(log_sum_exp(np.array(logs))) - density(expected) + log_share("constant", 16)
+    log = float(log_sum_exp(np.array(logs))) - density(expected) + log_prior_share("constant", 16)
     assert found[0].evidence == pytest.approx(log, rel=1e-3)
 
 
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
-    found = contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0)
+    found = find_contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0)
     assert found
     first = found[0]
     assert first.instruments == ("B",)
@@ -99,14 +99,14 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     )
     exact = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
-    found = contradictions(adjust(recording, built), 2.0)
+    found = find_contradictions(adjust(recording, built), 2.0)
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
     assert abs(both.difference - 20e-6) < 4 * both.sigma
 
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
-    assert contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0) == []
-    found = contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0)
+    assert find_contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0) == []
+    found = find_contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0)
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
     assert 0.0 <= found[0].p_value < 1e-6

@@ -102,7 +102,7 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     assert (first.effect, first.is_catalogued) == ("unknown", False)
     assert first.where.observables == ("distance",)
     assert np.corrcoef(found.modelled_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
-    assert (found.variance_factors(recording) == 1.0).all()
+    assert (found.variance_factors == 1.0).all()
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
     assert found.fit.after.held_out_rms < found.fit.before.held_out_rms
@@ -152,7 +152,8 @@ def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_
     assert "target" in first.carrier and first.driver.startswith("time")
     assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
     errors = [
-        rigid_gap(points, state.target_points) for points in (found.baseline.state.target_points, found.targets.points)
+        rigid_gap(points, state.target_points)
+        for points in (found.baseline_adjustment.state.target_points, found.targets.points)
     ]
     assert errors[1] < 0.8 * errors[0]
 
@@ -413,6 +414,6 @@ def test_targets_are_no_worse_than_those_of_the_right_explanation():
     hidden, _ = strengthened(recording, state, change)
     found = diagnose(hidden)
     assert rigid_gap(found.targets.points, state.target_points) < 1.05 * rigid_gap(
-        found.baseline.state.target_points, state.target_points
+        found.baseline_adjustment.state.target_points, state.target_points
     )
     assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)

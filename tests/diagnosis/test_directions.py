@@ -9,8 +9,8 @@ from scipy.integrate import quad
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.directions import best_direction
-from ltsim.diagnosis.evidence import evidence_with
+from ltsim.diagnosis.directions import best_ratio
+from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import scalar_regressor, smooth_regressor
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
@@ -40,9 +40,9 @@ def planted(components: int, coefficients: int, size: float) -> tuple[np.ndarray
 def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(components: int) -> None:
     gram, score, ratio = planted(components, 5, 1.0)
     spread = np.full(len(score), 0.5)
-    best, *evidence = best_direction(gram, score, spread, components)
+    best, *evidence = best_ratio(gram, score, spread, components)
     np.testing.assert_allclose(best, ratio, atol=0.25)
-    assert sum(evidence) > float(evidence_with(gram, score, spread)) + 1.0
+    assert sum(evidence) > float(log_evidence_of_coefficients(gram, score, spread)) + 1.0
 
 
 def test_the_evidence_is_the_integral_over_all_ratios() -> None:
@@ -53,9 +53,9 @@ def test_the_evidence_is_the_integral_over_all_ratios() -> None:
     def likelihood(angle: float, top: float) -> float:
         u = np.array([np.cos(angle), np.sin(angle)])
         inner = np.einsum("i,iajb,j->ab", u, products, u)
-        return float(np.exp(evidence_with(inner, u @ scores, spread[:4] * np.sqrt(2.0)) - top))
+        return float(np.exp(log_evidence_of_coefficients(inner, u @ scores, spread[:4] * np.sqrt(2.0)) - top))
 
-    best, top, share = best_direction(gram, score, spread, 2)
+    best, top, share = best_ratio(gram, score, spread, 2)
     middle = float(np.arctan2(best[1], best[0]))
     integral = quad(likelihood, middle - np.pi / 2, middle + np.pi / 2, args=(top + share,), points=[middle])[0]
     assert np.log(integral / np.pi) == pytest.approx(0.0, abs=0.1)

@@ -15,10 +15,10 @@ from ltsim.core.units import ARCSECOND
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
-from ltsim.diagnosis.findings import Explained
+from ltsim.diagnosis.findings import ExplainedRecording
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.preprocessing import single_errors
+from ltsim.diagnosis.preprocessing import is_single_error
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
@@ -48,7 +48,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     redundancy = float(space.redundancy[at][0])
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert np.argwhere(single_errors(selection.fit)).tolist() == [[row, column]]
+    assert np.argwhere(is_single_error(selection.fit)).tolist() == [[row, column]]
     diagnosis = diagnose(recording)
     (told,) = diagnosis.findings
     assert told.effect == "outlier"
@@ -74,7 +74,7 @@ def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, 
     selection = identify_causes(changed(large, 40, 1, sigmas), misalignment_construction())
     assert selection is not None
     assert selection.fit.is_gross_reading[40, 1]
-    assert bool(single_errors(selection.fit)[40, 1]) == is_error
+    assert bool(is_single_error(selection.fit)[40, 1]) == is_error
 
 
 def test_outliers_share_their_place_with_those_that_are_small():
@@ -86,7 +86,7 @@ def test_outliers_share_their_place_with_those_that_are_small():
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert selection.fit.is_outlier[rows, 1].all()
-    assert not single_errors(selection.fit).any()
+    assert not is_single_error(selection.fit).any()
 
 
 @pytest.mark.parametrize("last", family([True, False]))
@@ -104,7 +104,7 @@ def test_a_target_that_moved_is_no_wrong_reading():
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert not single_errors(selection.fit).any()
+    assert not is_single_error(selection.fit).any()
 
 
 @pytest.mark.long
@@ -187,7 +187,7 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     monkeypatch.setattr(SelectionState, "set_adjustment", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
-    monkeypatch.setattr(Explained, "finding", lambda *_: unlikely)
+    monkeypatch.setattr(ExplainedRecording, "finding", lambda *_: unlikely)
     assert diagnose(recording).findings
 
 
@@ -215,11 +215,13 @@ def test_nothing_without_a_size_is_told_beside_something_else():
     case = SelectionState(adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0)
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
-    found = case.searcher.with_members(members)
-    explained = Explained(case, detect(case.searcher, case.bank), found, case.refit(found.effects, case.sigma))
+    found = case.searcher.model_of(members)
+    explained = ExplainedRecording(
+        case, detect(case.searcher, case.noise_bank), found, case.refit(found.effects, case.reading_sigmas)
+    )
     (told,) = (one for one in explained.refit.estimates[0] if one.parameter.name == "plume-temperature")
     assert abs(told.value) < 2.0 * told.sigma
-    assert explained.chance(0) == 0.0
+    assert explained.p_real(0) == 0.0
 
 
 @pytest.mark.long

@@ -21,8 +21,8 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.diagnose import LEAST_GAIN
-from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation
+from ltsim.diagnosis.diagnose import MIN_EFFECT_LOG_EVIDENCE
+from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
@@ -54,7 +54,7 @@ def estimated(faces: int, truth: Floats, rng: np.random.Generator) -> Floats:
     return covariance @ (information @ truth + noise)
 
 
-def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX) -> list[Contradiction]:
+def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX) -> list[ConstantContradiction]:
     """Contradictions of a day with some calibrations before it, one constant off by `blow` guarantees."""
     rng = stream(61, "days", faces, count, seed)
     calibration, adjustment = measured(faces)
@@ -72,7 +72,7 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     return against(known, adjustment, values[-1])
 
 
-def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> list[Contradiction]:
+def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> list[ConstantContradiction]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
     covariance, recording = adjustment.constants_covariance, adjustment.recording
@@ -83,7 +83,9 @@ def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) 
         recording=recording,
         problem=adjustment.problem,
     )
-    return HistoryExpectation.of(known, recording, BUILT).contradictions(other, LEAST_GAIN)
+    return HistoryExpectation.from_calibrations(known, recording, BUILT).find_contradictions(
+        other, MIN_EFFECT_LOG_EVIDENCE
+    )
 
 
 @pytest.mark.long

@@ -11,9 +11,10 @@ from scipy.special import logsumexp
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
-from ltsim.diagnosis.noise_groups import FACTORS
-from ltsim.diagnosis.prior import PRIOR
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
+from ltsim.diagnosis.prior import CAUSE_PRIOR
+from ltsim.diagnosis.repeats import repeat_means
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
 from ltsim.physics.model.construction import misalignment_construction
@@ -25,7 +26,7 @@ def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
-    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
 
@@ -58,8 +59,8 @@ def test_every_variance_function_is_linear_in_its_size(repeated):
     space, _, bank = repeated
     for h in bank.hypotheses[::97]:
         if isinstance(h.effect, VarianceFunction):
-            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.values[0]))
-            expected = space.sigma**2 + h.values[0] * (unit - space.sigma**2)
+            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.sizes[0]))
+            expected = space.sigma**2 + h.sizes[0] * (unit - space.sigma**2)
             np.testing.assert_allclose(sized, expected, rtol=1e-12)
 
 
@@ -75,7 +76,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     )
     change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
     residual = space.residuals + space.project(change)[:, 0]
-    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    best = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.size_scales) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
@@ -92,7 +93,7 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     change = np.zeros((space.n_rows, 1))
     change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
     residual = space.residuals + space.project(change)[:, 0]
-    first = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    first = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
 
@@ -107,12 +108,12 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
         i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
         grown = np.ones(space.n_rows + len(sums))
-        places, logs = bank.factors.row(i)
+        places, logs = bank.factors.log_variance_factors(i)
         grown[places] = np.exp(logs)
         covariance = np.diag(grown[: space.n_rows]) + sums.T @ np.diag(grown[space.n_rows :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual
         dense = 0.5 * (y @ y - y @ np.linalg.solve(inner, y) - np.linalg.slogdet(inner)[1])
-        assert bank.exact(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
+        assert bank.log_restricted_likelihood_ratio(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
 
 
 def test_sizes_between_those_of_the_grid_count_as_much(repeated):
@@ -138,8 +139,10 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
         one.append(logsumexp(logs) - np.log(len(fine)))
     whole = logsumexp([*one, sum(one)]) - np.log(3)
     rough = replace(bank, basis=None)  # in its diagonal form
-    found = {h.family: value for value, h in rough.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))}
-    assert found["turbulence"] - bank.share("turbulence") == pytest.approx(whole, abs=0.1)
+    found = {
+        h.family: value for value, h in rough.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))
+    }
+    assert found["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
     assert found["turbulence"] > coarse + 1.0
 
@@ -153,13 +156,15 @@ def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeate
 
     def averaged(rows):
         square, share = np.sum(residual[: len(kind)][rows] ** 2), np.sum(space.redundancy[: len(kind)][rows])
-        return np.log(np.mean([np.exp(0.5 * (square * (1 - 1 / f) - share * np.log(f))) for f in FACTORS]))
+        return np.log(
+            np.mean([np.exp(0.5 * (square * (1 - 1 / f) - share * np.log(f))) for f in GROUP_VARIANCE_FACTORS])
+        )
 
     one = [averaged(kind == k) for k in range(3)]
     subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
     expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(averaged(kind >= 0)))
     found = evidence_of(bank, residual, space.redundancy)["noise-level"]
-    assert found == pytest.approx(expected + np.log(PRIOR["noise"] / 3), rel=1e-6)
+    assert found == pytest.approx(expected + np.log(CAUSE_PRIOR["noise"] / 3), rel=1e-6)
 
 
 @pytest.mark.parametrize("times", [0.3, 2.5, 7.0])
@@ -179,7 +184,7 @@ def test_quiet_residuals_are_no_law(repeated):
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.augmented(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
+    beside = space.with_signatures(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
     assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
     assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
 
@@ -189,7 +194,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
     space, _, bank = repeated
     white = space.project(stream(2, "white").standard_normal((space.n_rows, 200)))
     mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
-    assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
+    assert mean < np.log(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"]) + 1.0
 
 
 def test_means_of_repeats_are_of_unit_variance(repeated):
@@ -208,7 +213,7 @@ def test_without_repeats_nothing_is_said():
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
-    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
     more = {}

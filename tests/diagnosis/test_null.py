@@ -10,7 +10,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.catalogue_signatures import FamilyMeans
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import log_means
+from ltsim.diagnosis.evidence import log_means_by_group
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -23,22 +23,22 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
     white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
     others = searcher.space.project(white)
-    rest = Searcher(searcher.space, seed, 1, cards=searcher.cards)
-    rest.probe = with_trials(searcher.probe, others)
-    return rest._screened(rest.empty).null
+    rest = Searcher(searcher.space, seed, 1, catalogue_signatures=searcher.catalogue_signatures)
+    rest.null_ensemble = with_trials(searcher.null_ensemble, others)
+    return rest._screening(rest.empty_model).null_statistics
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", most)
     space = ResidualSpace.from_adjustment(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)
-        assert searcher.large == (most == 0)
-        null = Detection(0.0, 1.0, searcher.first.null)
-        chances += [null.chance(float(one)) for one in clean(searcher, seed)]
+        assert searcher.is_large_network == (most == 0)
+        null = Detection(0.0, 1.0, searcher.empty_model_screening.null_statistics)
+        chances += [null.p_value_of(float(one)) for one in clean(searcher, seed)]
     for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
         assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)
 
@@ -50,4 +50,4 @@ def test_family_means_do_not_depend_on_the_batches() -> None:
     means = FamilyMeans.of(family, 4, 6)
     for members in np.split(rng.permutation(50), [3, 20, 21]):
         means.add(members, values[members])
-    np.testing.assert_allclose(means.log_means, log_means(values, family, 4), rtol=1e-12)
+    np.testing.assert_allclose(means.log_means, log_means_by_group(values, family, 4), rtol=1e-12)

@@ -17,9 +17,9 @@ from ltsim.diagnosis.detectability import separating_measurement
 from ltsim.diagnosis.diagnose import log_support
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import active_observables
-from ltsim.diagnosis.findings import Explained
+from ltsim.diagnosis.findings import ExplainedRecording
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.diagnosis.schema import Misfit, Where
+from ltsim.diagnosis.schema import FindingScope, Misfit
 from ltsim.diagnosis.words import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment_construction
@@ -64,17 +64,21 @@ def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_o
     null = stream(3, "null").permutation(np.arange(1000.0))
     found = Detection(0.0, 1.0, null)
     assert found.threshold(0.05) == pytest.approx(949.05)
-    assert found.chance(-1.0) == 1.0
-    assert found.chance(500.0) == pytest.approx(501 / 1001)
-    assert found.chance(999.0) == pytest.approx(2 / 1001)
-    assert found.chance(1e4) == found.chance(999.5) == pytest.approx(1 / 1001)
+    assert found.p_value_of(-1.0) == 1.0
+    assert found.p_value_of(500.0) == pytest.approx(501 / 1001)
+    assert found.p_value_of(999.0) == pytest.approx(2 / 1001)
+    assert found.p_value_of(1e4) == found.p_value_of(999.5) == pytest.approx(1 / 1001)
 
 
 @pytest.mark.parametrize(
     ("law", "where", "told"),
     [
-        ("vertical index follows hall_c", Where(instruments=("B",), covariates=("hall_c",)), "of instrument B follows"),
-        ("vertical index differs", Where(stations=("S4",)), "vertical index at station S4 differs"),
+        (
+            "vertical index follows hall_c",
+            FindingScope(instruments=("B",), covariates=("hall_c",)),
+            "of instrument B follows",
+        ),
+        ("vertical index differs", FindingScope(stations=("S4",)), "vertical index at station S4 differs"),
     ],
 )
 def test_the_place_of_a_law_stands_beside_what_varies(law, where, told):
@@ -97,15 +101,15 @@ class Set:
         return SimpleNamespace(members=[SimpleNamespace(key=name) for name in self.members])
 
     @property
-    def gains(self) -> list[np.ndarray]:
+    def squared_residual_decreases(self) -> list[np.ndarray]:
         return [np.array([float(ord(name))]) for name in self.members]
 
-    def chance(self, member: int) -> float:
+    def p_real(self, member: int) -> float:
         return self.chances[self.members[member]]
 
 
 def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() -> None:
-    untold = Explained.withheld.func
+    untold = ExplainedRecording.withheld_keys.func
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()
@@ -113,7 +117,7 @@ def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() ->
 
 def cause(name: str, coefficients: int) -> SimpleNamespace:
     """A hypothesis of a catalogue effect with coefficients of plausible size 1."""
-    return SimpleNamespace(name=name, is_catalogued=True, log_prior=-3.0, spread=np.ones(coefficients))
+    return SimpleNamespace(name=name, is_catalogued=True, log_prior=-3.0, plausible_sizes=np.ones(coefficients))
 
 
 def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.diagnosis.held_out import folds, held_out
+from ltsim.diagnosis.held_out import cross_validated_errors, fold_rows
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
@@ -41,7 +41,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
         law("elevation", scalar_regressor("time", "power")),
         law("elevation", scalar_regressor("distance", "power", 2.0)),
     )
-    extended = space.augmented(space.whitened_signature(first))
+    extended = space.with_signatures(space.whitened_signature(first))
     signature = space.whitened_signature(second)
     columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
@@ -53,7 +53,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
 def test_held_out_error_is_that_of_refits_without_the_fold(space):
     recording = space.adjustment.recording
     square, count = 0.0, 0
-    for rows in folds(space, 0):
+    for rows in fold_rows(space, 0):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
@@ -64,15 +64,15 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         spread = design @ rest.factorised_normals.covariance_columns(design.T)
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
-    assert held_out(space, 0).before == pytest.approx(np.sqrt(square / count), rel=1e-3)
+    assert cross_validated_errors(space, 0).before == pytest.approx(np.sqrt(square / count), rel=1e-3)
 
 
 def test_held_out_error_is_one_where_the_model_holds(space):
-    assert held_out(space, 0).before == pytest.approx(1.0, abs=0.1)
+    assert cross_validated_errors(space, 0).before == pytest.approx(1.0, abs=0.1)
 
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
-    groups = folds(space, 3)
+    groups = fold_rows(space, 3)
     assert sorted(np.concatenate(groups)) == list(range(int(space.used_readings.sum())))
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
@@ -84,7 +84,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     for seed in range(6):
         recording, _ = network(seed=seed, stations=3)
         clean = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        error = held_out(clean, seed, Searcher(clean, seed), 2.0)
+        error = cross_validated_errors(clean, seed, Searcher(clean, seed), 2.0)
         falls += error.after < error.before
     assert falls <= 3
 
@@ -93,5 +93,5 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
-    error = held_out(hidden, 0, Searcher(hidden, 0), 2.0)
+    error = cross_validated_errors(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before

@@ -10,13 +10,20 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
-from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
+from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_sign_weight
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import MISFIT, Hypothesis, Model, Ranking
+from ltsim.diagnosis.hypotheses import RELATIVE_MODEL_ERROR, Hypothesis, Model, Ranking
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR, log_share, rows
-from ltsim.diagnosis.space import panels
+from ltsim.diagnosis.prior import (
+    CAUSE_PRIOR,
+    PLACE_PRIOR,
+    RESPONSE_PRIOR,
+    RESPONSE_PRIOR_AT_TARGETS,
+    log_prior_share,
+    prior_rows,
+)
+from ltsim.diagnosis.space import law_batches
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -35,9 +42,9 @@ def space() -> ResidualSpace:
 @pytest.fixture(scope="module")
 def made(space):
     """All panels, scored once."""
-    probe = NullEnsemble.of(space, 0, 300)
-    found = panels(space)
-    return probe, found, [panel.score(probe) for panel in found]
+    probe = NullEnsemble.from_space(space, 0, 300)
+    found = law_batches(space)
+    return probe, found, [panel.best_laws_and_totals(probe) for panel in found]
 
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
@@ -45,38 +52,40 @@ def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, exte
     left = space.project(space.whitened_signature(law))
     left -= extension @ (extension.T @ left)
     sizes = np.array([p.prior_sigma for p in law.parameters])
-    return posterior(left.T @ left, left.T @ residual, sizes)[2]
+    return coefficient_posterior(left.T @ left, left.T @ residual, sizes)[2]
 
 
 def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
     """That is its place, which is estimated; known lengths alone would feel it, and they have errors of their own."""
-    assert not [p for p in made[1] if p.carriers[0].kind == "target" and CONSTANT_REGRESSOR in p.drivers]
+    assert not [p for p in made[1] if p.responses[0].kind == "target" and CONSTANT_REGRESSOR in p.regressors]
 
 
 def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
-    for table in (PRIOR, PLACES, KINDS, AT_TARGETS):
+    for table in (CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
-    assert sum(part for _, part in rows()) == pytest.approx(1.0, abs=1e-12)
+    assert sum(part for _, part in prior_rows()) == pytest.approx(1.0, abs=1e-12)
     assert np.exp(LOG_SIZE_PRIOR).sum() == pytest.approx(1.0)
     _, found, _ = made
     laws = sum(
-        np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.coefficient_sigmas) for d in p.drivers) for p in found
+        np.exp(p.log_prior).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
+        for p in found
     )
-    cards = CatalogueSignatures.of(space, catalogue_hypotheses(space.sightings))
-    families = cards.family_evidence(np.zeros(len(cards.effects))) + log_share("named", len(cards.families))
-    noise = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    cards = CatalogueSignatures.from_space(space, catalogue_hypotheses(space.sightings))
+    families = cards.family_evidence(np.zeros(len(cards.effects))) + log_prior_share("named", len(cards.families))
+    noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
-        noise._by_family(np.zeros((len(noise.hypotheses), 1))), [noise.share(one.name) for one in noise.amounts]
+        noise._log_evidence_by_family(np.zeros((len(noise.hypotheses), 1))),
+        [noise.log_prior_of_family(one.name) for one in noise.amounts],
     )
-    assert laws == pytest.approx(PRIOR["law"])
-    assert np.exp(families).sum() == pytest.approx(PRIOR["named"])
-    assert np.exp(nothing).sum() == pytest.approx(PRIOR["noise"] + PRIOR["scatter"])
+    assert laws == pytest.approx(CAUSE_PRIOR["law"])
+    assert np.exp(families).sum() == pytest.approx(CAUSE_PRIOR["named"])
+    assert np.exp(nothing).sum() == pytest.approx(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"])
 
 
 def test_the_theory_page_has_the_table_of_priors(root):
     page = (root / "docs" / "theory.md").read_text(encoding="utf-8")
-    for words, part in rows():
+    for words, part in prior_rows():
         assert f"| {words} | {100 * part:.3g} % |" in page
 
 
@@ -98,8 +107,8 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
     assert found.score == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = Model(tuple(members[:1]), tuple(left[:1]), found.norms[:1], whole)
-    alone_ = evidence_with(left[0].T @ left[0], left[0].T @ whole, sizes[0])
+    single = Model(tuple(members[:1]), tuple(left[:1]), found.signature_norms[:1], whole)
+    alone_ = log_evidence_of_coefficients(left[0].T @ left[0], left[0].T @ whole, sizes[0])
     assert single.score == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
 
@@ -108,14 +117,14 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
     nothing = np.zeros((space.n_rows, 0))
     for (hits, _, _), panel in zip(scored, found, strict=True):
         for hit in (hits[0], hits[-1]):
-            scales = range(len(hit.driver.coefficient_sigmas))
+            scales = range(len(hit.regressor.coefficient_sigmas))
             laws = [
-                EmpiricalLaw(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale_index=k)
+                EmpiricalLaw(hit.place.stations, hit.place.targets, hit.response, hit.regressor, scale_index=k)
                 for k in scales
             ]
             logs = np.array([alone(space, law, space.residuals, nothing) for law in laws])
             exact = log_sum_exp(logs) + hit.log_prior
-            assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
+            assert hit.log_evidence == pytest.approx(float(exact), abs=0.02), (panel.responses[0], hit)
 
 
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
@@ -127,9 +136,14 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     gains = []
     for extension in (np.zeros((space.n_rows, 0)), left):
         beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
-        hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
-        same = (h for h in hits if (h.carrier.name, h.driver) == (law.response.name, law.regressor))
-        gains.append(max((h.value - h.log_prior for h in same), default=-np.inf))
+        hits = [
+            h
+            for panel in found
+            for h in panel.best_laws_and_totals(beside)[0]
+            if not (h.place.stations or h.place.targets)
+        ]
+        same = (h for h in hits if (h.response.name, h.regressor) == (law.response.name, law.regressor))
+        gains.append(max((h.log_evidence - h.log_prior for h in same), default=-np.inf))
     assert gains[0] > 100.0
     assert gains[1] < 0.1
 
@@ -149,26 +163,26 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
-        np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
-    np.testing.assert_allclose(exact.signature(local[0]), space.whitened_signature(local[0]))
+        np.testing.assert_allclose(exact.log_evidence(effects, base), values, rtol=1e-8)
+    np.testing.assert_allclose(exact.whitened_signature(local[0]), space.whitened_signature(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
     """Marginal likelihood ratios average to one where there is nothing."""
     for _, _, null in made[2]:
-        assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR["law"]) + 1.5
+        assert log_sum_exp(null) - np.log(len(null)) < np.log(CAUSE_PRIOR["law"]) + 1.5
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", 0)
-    probe = NullEnsemble.of(space, 0, 0)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", 0)
+    probe = NullEnsemble.from_space(space, 0, 0)
     assert probe.gram_is_monte_carlo
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
-    sampled = CatalogueSignatures.of(space, effects)
-    sampled.score(probe)
+    sampled = CatalogueSignatures.from_space(space, effects)
+    sampled.log_evidence_and_trials(probe)
     monkeypatch.undo()
-    exact = CatalogueSignatures.of(space, effects)
-    exact.score(NullEnsemble.of(space, 0, 0))
+    exact = CatalogueSignatures.from_space(space, effects)
+    exact.log_evidence_and_trials(NullEnsemble.from_space(space, 0, 0))
     for one, other in zip(sampled.groups, exact.groups, strict=True):
         np.testing.assert_allclose(one.gram, other.gram, rtol=0.4)
 
@@ -182,10 +196,10 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residuals)
     values = []
     for most in (0, 500):
-        monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
-        probe, cards = NullEnsemble.of(space, 0, 0), CatalogueSignatures.of(space, steps)
-        cards.score(probe)
-        values.append(cards.score(probe.with_model(base.residual, base.basis))[0])
+        monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", most)
+        probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueSignatures.from_space(space, steps)
+        cards.log_evidence_and_trials(probe)
+        values.append(cards.log_evidence_and_trials(probe.with_model(base.residual, base.basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 
@@ -200,15 +214,15 @@ def test_evidence_is_that_of_the_dense_covariance():
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = signature.T @ signature
-    found = posterior(gram, signature.T @ residual, np.ones(2))
+    found = coefficient_posterior(gram, signature.T @ residual, np.ones(2))
     assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_SIZE_PRIOR)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
 
 
 def test_a_negative_thickness_is_no_explanation():
-    assert sign_weight(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
-    assert sign_weight(-5.0, 1.0) < -10.0
+    assert log_sign_weight(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
+    assert log_sign_weight(-5.0, 1.0) < -10.0
 
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
@@ -216,8 +230,8 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
         law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
         return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
-    assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
-    assert ranking(unknown=10.0, window=9.0, backlash=8.0).name() == "unknown"
+    assert ranking(unknown=10.0, window=9.5, backlash=9.4).most_probable_name() == "window"
+    assert ranking(unknown=10.0, window=9.0, backlash=8.0).most_probable_name() == "unknown"
 
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
@@ -227,5 +241,5 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]
     found = [Model((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
-    assert found[0].discrepancy_penalty == pytest.approx(0.5 * MISFIT * whole @ whole)
+    assert found[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_MODEL_ERROR * whole @ whole)
     assert found[1].discrepancy_penalty == 0.0

@@ -7,11 +7,11 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.evidence import evidence_with
+from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.products import product_forms
-from ltsim.diagnosis.switches import _moments, _toggled, switched_forms
+from ltsim.diagnosis.switches import _best_span_states, _span_moments, switched_forms
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
@@ -67,15 +67,15 @@ def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualS
     base = with_law(space, law.with_switch(at(space, 0.2, 0.45)), 200.0)
     exact, edges = EvidenceCalculator(space), law.candidate_switch_times(space.sightings)
     first = scalar_regressor("time", "step", -np.inf)
-    spans = _moments(exact, law, [first, *edges], base)
-    on, _, toggled = _toggled(spans, law.with_switch([first]).size_scales)
+    spans = _span_moments(exact, law, [first, *edges], base)
+    on, _, toggled = _best_span_states(spans, law.with_switch([first]).size_scales)
     assert toggled >= 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     state, size = on.astype(float), np.sqrt(on @ spans.square)
     gram = np.einsum("s,swtv,t->wv", state, spans.gram, state) / size**2
     switched = law.with_switch([first, *chosen] if on[0] else chosen)
-    value = evidence_with(gram, state @ spans.score / size, switched.size_scales)
-    assert float(value) == pytest.approx(float(exact.evidence([switched], base)[0]), rel=1e-6)
+    value = log_evidence_of_coefficients(gram, state @ spans.score / size, switched.size_scales)
+    assert float(value) == pytest.approx(float(exact.log_evidence([switched], base)[0]), rel=1e-6)
 
 
 def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
@@ -85,7 +85,7 @@ def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
     exact = EvidenceCalculator(space)
     found = switched_forms(exact, law, 0.0, base)[0].effect
     assert isinstance(found, EmpiricalLaw) and found.regressor.kind == "switch"
-    values = exact.evidence([found, law.with_switch(times)], base)
+    values = exact.log_evidence([found, law.with_switch(times)], base)
     assert values[0] > values[1] - 1.0  # changes between two set-ups are absorbed by their poses
     edges = np.array([edge.constant for edge in found.regressor.factors])
     assert all(np.abs(edges - t.constant).min() < 60.0 for t in times[:3])
@@ -97,9 +97,9 @@ def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpac
     law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
     base, exact = with_law(space, law, 600.0), EvidenceCalculator(space)
     of_time = switched_forms(exact, EmpiricalLaw((), (), law.response, smooth_regressor("time")), 0.0, base)
-    found = max(product_forms(exact, of_time[0], base), key=lambda form: form.value)
+    found = max(product_forms(exact, of_time[0], base), key=lambda form: form.log_evidence)
     assert isinstance(found.effect, EmpiricalLaw) and found.effect.regressor.hall_region is not None
-    assert found.value > of_time[0].value + 20.0
+    assert found.log_evidence > of_time[0].log_evidence + 20.0
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.cli.main import VERBS
+from ltsim.cli.main import COMMANDS
 from ltsim.physics.effects import CATALOGUE
 
 pytestmark = pytest.mark.long
@@ -25,7 +25,7 @@ def built(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_verb_has_its_section(built: Path) -> None:
     page = (built / "reference" / "command-line.html").read_text(encoding="utf-8")
-    assert [verb for verb in VERBS if f'id="ltsim-{verb}"' not in page] == []
+    assert [verb for verb in COMMANDS if f'id="ltsim-{verb}"' not in page] == []
 
 
 def test_every_effect_has_its_section(built: Path) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from ltsim.cli.examples import TRY, example_text
+from ltsim.cli.examples import EXAMPLE_COMMANDS, example_text
 from ltsim.cli.main import run
 
-NOTEBOOKS = [name for name in TRY if name.endswith(".ipynb")]
+NOTEBOOKS = [name for name in EXAMPLE_COMMANDS if name.endswith(".ipynb")]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 SHOWN = 0.02
 """Relative difference of printed numbers: their last digits depend on the processor."""

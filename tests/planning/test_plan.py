@@ -281,7 +281,7 @@ def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
 def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
     """Python object, JSON, CSV files, terminal and page are one model with its tables."""
     from ltsim.planning.tables import PLAN_TABLES
-    from ltsim.reports.sections import section_of
+    from ltsim.reports.sections import result_section
 
     folder = tmp_path / "out"
     lt.write(result, folder)
@@ -295,7 +295,7 @@ def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
         assert content.table(name) == table and (folder / table.file).read_text() == table.csv()
         assert [column.name for column in table.columns if not column.meaning] == []
     assert repr(result).splitlines()[0] == content.summary == repr(content).splitlines()[0]
-    shown = section_of(content).text()
+    shown = result_section(content).terminal_text()
     for name in ("stations", "tradeoff"):
         assert all(cell in shown for row in result.table(name).cells() for cell in row)
     with pytest.raises(ModelError, match=r"^a plan read from a file has no arrays"):

@@ -184,15 +184,15 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
 
 def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Path) -> None:
     from ltsim.reports.document import TableBlock
-    from ltsim.reports.sections.plan import _tolerances
+    from ltsim.reports.sections.plan import _tolerance_tables
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move).network
     worst = made.tolerance_check.error_by_point[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
-    (grid, *_) = _tolerances(content)
-    assert isinstance(grid, TableBlock) and len(grid.marked) == 1 and content.reached is False
-    (row,) = (grid.rows[i] for i in grid.marked)
+    (grid, *_) = _tolerance_tables(content)
+    assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.reached is False
+    (row,) = (grid.rows[i] for i in grid.marked_rows)
     assert row[0] == made.tolerance_check.worst_point_name and row[3] == "100.04 %"  # type: ignore[union-attr]
     assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]

@@ -13,7 +13,7 @@ import trimesh
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.reports.board.board import Board
+from ltsim.reports.board.board import MovableLayout
 from tests.planning.test_hall import HALL, points_csv
 
 BOX = "box_mm = [2500, 1500, 2200]\nposition_mm = [6000, 4000, 0]\n"
@@ -42,13 +42,13 @@ def test_every_verb_works_on_the_folder(made: Path, tmp_path: Path, monkeypatch)
     assert run(["simulate", str(made), "--out", "rec", "--seed", "1", "--quiet"]) == 0
     assert run(["simulate", str(made / "scenario.toml"), "--out", "rec2", "--seed", "1", "--quiet"]) == 0
     assert run(["view", str(made), "--html", "room.html", "--quiet"]) == 0
-    board = Board.of(made)
-    board.save(board.hall()["stations"], tmp_path / "moved")
+    board = MovableLayout.from_plan(made)
+    board.save(board.hall_json()["stations"], tmp_path / "moved")
     assert {f.name for f in (tmp_path / "moved").iterdir()} == {"plan.toml", "scenario.toml", "machine.stl"}
     shutil.move(tmp_path / "moved", tmp_path / "elsewhere")
     saved = json.loads((made / "plan.json").read_text())
-    again = Board.of(tmp_path / "elsewhere" / "plan.toml")
-    assert [s["mm"] for s in again.hall()["stations"]] == [s["position_mm"] for s in saved["stations"]]
+    again = MovableLayout.from_plan(tmp_path / "elsewhere" / "plan.toml")
+    assert [s["mm"] for s in again.hall_json()["stations"]] == [s["position_mm"] for s in saved["stations"]]
     assert "machine (machine.stl, numbers taken for millimetres, z up): 2.5 x 1.5 x 2.2 m" in saved["bodies"][0]
 
 

@@ -105,7 +105,7 @@ def test_points_heights_and_lengths(tmp_path: Path) -> None:
     assert (length.from_, length.to, length.length_mm, length.sigma_mm) == ("B", "C", 7000, 1.5)
     notes = " ".join(recording.notes)
     (apart,) = recording.setup.differences
-    assert (apart.called, apart.known_mm, apart.known_sigma_mm, apart.known_axes) == ("A-B", (0, 0, 1000), 1, "z")
+    assert (apart.label, apart.known_mm, apart.known_sigma_mm, apart.known_axes) == ("A-B", (0, 0, 1000), 1, "z")
     for said in ("left-handed system", "sigma-apr is 2"):
         assert said in notes
 
@@ -213,9 +213,9 @@ def agree(one: Recording, other: Recording) -> None:
     np.testing.assert_allclose(one.readings[:, [0, 2]], other.readings[:, [0, 2]], atol=1e-12, rtol=1e-12)
     turn = np.mod(one.readings[:, 1] - other.readings[:, 1] + 1, 2 * np.pi) - 1
     np.testing.assert_allclose(turn[np.isfinite(turn)], 0, atol=1e-12)
-    assert np.array_equal(one.measured, other.measured)
+    assert np.array_equal(one.is_measured, other.is_measured)
     ratio = one.sigma() / other.sigma()
-    np.testing.assert_allclose(ratio[one.measured], 1, rtol=1e-12)
+    np.testing.assert_allclose(ratio[one.is_measured], 1, rtol=1e-12)
     for mine, theirs in zip(one.heights(), other.heights(), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
@@ -290,7 +290,7 @@ def test_real_networks(tmp_path: Path, name: str, counts: int) -> None:
     if not file.exists():
         pytest.skip("Gama's networks are not beside this checkout")
     recording = read(file)
-    assert list(recording.measured.sum(axis=0)) == [counts] * 3
+    assert list(recording.is_measured.sum(axis=0)) == [counts] * 3
     write(recording, tmp_path / "out.gkf", "gama-local")
     agree(recording, read(tmp_path / "out.gkf"))
 
@@ -310,7 +310,7 @@ def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
     text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
     (tmp_path / "a.gkf").write_text(text)
     found = read(tmp_path / "a.gkf")
-    assert len(found) == 4 and not found.measured[:, 2].any() and found.is_horizontal[1]
+    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal[1]
     targets = found.setup.targets
     assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
     assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)

@@ -17,12 +17,12 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
 from ltsim.core.limits import (
-    ADJUSTED_POINTINGS,
-    CALIBRATED_POINTINGS,
-    JSON_VALUES,
-    MAX_POINTINGS,
-    TOML_KEYS,
-    XML_TAGS,
+    MAX_ADJUSTED_POINTINGS,
+    MAX_CALIBRATED_POINTINGS,
+    MAX_JSON_VALUES,
+    MAX_TOML_KEYS,
+    MAX_XML_TAGS,
+    POINTINGS_LIMIT_VARIABLE,
 )
 from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_points
@@ -58,15 +58,15 @@ def test_strings_and_comments_of_toml_are_no_structure() -> None:
 
 def test_toml_of_too_many_keys_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
-    file.write_text("".join(f"k{i} = 1\n" for i in range(TOML_KEYS + 1)))
-    with pytest.raises(RecordError, match=f"more than {TOML_KEYS} keys"):
+    file.write_text("".join(f"k{i} = 1\n" for i in range(MAX_TOML_KEYS + 1)))
+    with pytest.raises(RecordError, match=f"more than {MAX_TOML_KEYS} keys"):
         read_toml(file, "set-up")
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("<a>" * (XML_TAGS + 1), "more than 600000 tags"),
+        ("<a>" * (MAX_XML_TAGS + 1), "more than 600000 tags"),
         ("<a " + " ".join(f'a{i}=""' for i in range(1001)) + "/>", "more than 1000 attributes"),
         ("<a>" * 65 + "</a>" * 65, "deeper than 64"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declares entities"),
@@ -82,7 +82,7 @@ def test_xml_is_bounded(text: str, says: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('{"a": [' + "{}," * JSON_VALUES + "{}]}", "more than 1500000 values"),
+        ('{"a": [' + "{}," * MAX_JSON_VALUES + "{}]}", "more than 1500000 values"),
         ("[" * 100_000, "is not JSON"),
         ('{"a": 1e308}', "at most 1e"),
         ('{"a": -Infinity}', "at most 1e"),
@@ -150,9 +150,9 @@ def test_long_cells_take_no_time(mark: str, tmp_path: Path) -> None:
 
 
 AT_LIMITS = {
-    "keys.toml": 'format = "ltsim-scenario/1"\n' + "".join(f"[t.k{i}]\n" for i in range(TOML_KEYS - 2)),
-    "flat.gkf": "<gama-local>" + "<a/>" * (XML_TAGS - 2) + "</gama-local>",
-    "dicts.json": '{"format": "ltsim-calibration/1", "parameters": [' + "{}," * (JSON_VALUES // 2 - 2) + "{}]}",
+    "keys.toml": 'format = "ltsim-scenario/1"\n' + "".join(f"[t.k{i}]\n" for i in range(MAX_TOML_KEYS - 2)),
+    "flat.gkf": "<gama-local>" + "<a/>" * (MAX_XML_TAGS - 2) + "</gama-local>",
+    "dicts.json": '{"format": "ltsim-calibration/1", "parameters": [' + "{}," * (MAX_JSON_VALUES // 2 - 2) + "{}]}",
 }
 READS = "import sys, ltsim as lt; lt.scenario(sys.argv[1]) if sys.argv[1].endswith('toml') else lt.read(sys.argv[1])"
 
@@ -250,9 +250,9 @@ def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
 
 VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
 LARGEST = {
-    "adjust": ADJUSTED_POINTINGS,
-    "check": ADJUSTED_POINTINGS,
-    "calibrate": CALIBRATED_POINTINGS,
+    "adjust": MAX_ADJUSTED_POINTINGS,
+    "check": MAX_ADJUSTED_POINTINGS,
+    "calibrate": MAX_CALIBRATED_POINTINGS,
 }
 
 
@@ -280,7 +280,7 @@ def test_report_of_a_large_recording_takes_100_mb_more_than_of_a_small_one(tmp_p
     """The 3D view takes 480 MB whatever it shows."""
     peaks = [
         means(VERB, "report", str(noisy_monitoring(rows, tmp_path / str(rows)))).ru_maxrss
-        for rows in (2_000, ADJUSTED_POINTINGS)
+        for rows in (2_000, MAX_ADJUSTED_POINTINGS)
     ]
     assert peaks[1] - peaks[0] < 100 * 1024
 
@@ -316,14 +316,14 @@ def write_noisy(rows: int, folder: str) -> None:
 def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.repeat(np.arange(len(recording)), 3))
     with pytest.raises(
         NetworkError, match="holds 420 pointings; an adjustment takes at most 100: divide it by station"
     ):
         lt.adjust(whole)
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 200)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 200)
     with pytest.raises(
         NetworkError, match=r"holds 420 pointings; an adjustment takes at most 200: convert it .*every 3"
     ):
@@ -334,19 +334,21 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
 
 
 def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
-    monkeypatch.setenv(MAX_POINTINGS, str(len(recording)))
+    monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, str(len(recording)))
     assert len(lt.adjust(recording).target_names) == 28
-    monkeypatch.setenv(MAX_POINTINGS, str(len(recording) - 1))
-    with pytest.raises(NetworkError, match=f"at most 139: .* set the environment variable {MAX_POINTINGS} to 140"):
+    monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, str(len(recording) - 1))
+    with pytest.raises(
+        NetworkError, match=f"at most 139: .* set the environment variable {POINTINGS_LIMIT_VARIABLE} to 140"
+    ):
         lt.adjust(recording)
-    monkeypatch.setenv(MAX_POINTINGS, "99")
+    monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, "99")
     with pytest.raises(NetworkError, match="at most 100"):
         lt.adjust(recording)
     for wrong in ("many", "-5", "1e5", "9" * 5000):
-        monkeypatch.setenv(MAX_POINTINGS, wrong)
-        with pytest.raises(ModelError, match=f"{MAX_POINTINGS} is .*; expected a whole number of pointings"):
+        monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, wrong)
+        with pytest.raises(ModelError, match=f"{POINTINGS_LIMIT_VARIABLE} is .*; expected a whole number of pointings"):
             lt.adjust(recording)
 
 

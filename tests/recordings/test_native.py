@@ -95,7 +95,7 @@ def test_columns_in_any_order_and_optional_ones_absent(folder: Path) -> None:
 
 def test_missing_readings_are_nan(folder: Path) -> None:
     set_cell(folder, 4, "distance_mm", "")
-    measured = read_recording(folder).measured
+    measured = read_recording(folder).is_measured
     assert not measured[3, 0]
     assert measured[3, 1:].all()
     assert measured.sum() == measured.size - 1

@@ -51,8 +51,8 @@ def test_readings(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.readings[0], [3.5, 1.25, np.pi / 2 - 1])
     np.testing.assert_allclose(recording.readings[1], [3.5, 1.25 + np.pi, np.pi / 2 + 1])
     np.testing.assert_allclose(recording.readings[3, 0], 3.0)
-    assert list(recording.measured[4]) == [False, True, True]
-    assert list(recording.measured[5]) == [True, False, False]
+    assert list(recording.is_measured[4]) == [False, True, True]
+    assert list(recording.is_measured[5]) == [True, False, False]
     assert list(recording.time) == [0, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(recording.sigma()[0], [2e-5] * 3)
     notes = " ".join(recording.notes)

@@ -31,7 +31,7 @@ def test_what_is_mended_is_what_was_read(slip: TranscriptionError) -> None:
 
 
 def test_the_effect_knows_every_slip_and_no_other() -> None:
-    assert [effect.mistake for effect in WrongUnit.at_station("S1")] == [slip.name for slip in UNIT_ERRORS]
+    assert [effect.mistake for effect in WrongUnit.blunders_at_station("S1")] == [slip.name for slip in UNIT_ERRORS]
     with pytest.raises(ModelError, match=r"did you mean .*metre"):
         WrongUnit(("S1",), mistake="metres")
 

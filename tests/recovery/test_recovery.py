@@ -115,9 +115,9 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
 
 @pytest.mark.long
 def test_a_parameter_that_the_model_lacks_fails() -> None:
-    from ltsim.physics.effects import BASELINE
+    from ltsim.physics.effects import BASELINE_EFFECTS
 
-    without = misalignment_construction(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
+    without = misalignment_construction(effect for effect in BASELINE_EFFECTS if effect.name != "azimuth-eccentricity")
     failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failed_checks()
     assert "chi-square" in {failure.subject for failure in failures}
 
@@ -243,7 +243,7 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses = np.array([s.sigma_position for s in found.stations[1:]])
         sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
-        predicted = np.einsum("tii->", found.adjustment.in_inner_datum().target_covariance) / len(points)
+        predicted = np.einsum("tii->", found.adjustment.with_inner_datum().target_covariance) / len(points)
         inner.append(target_error(found.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 

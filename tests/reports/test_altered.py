@@ -11,8 +11,8 @@ import pytest
 
 from ltsim.core.errors import LtsimError
 from ltsim.recordings.result_file import read_result
-from ltsim.reports.schemas import FILES
-from ltsim.reports.sections import WRITERS, content_of, section_of
+from ltsim.reports.schemas import FILE_MODELS
+from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from tests.reports import samples
 
 VALUES = (0, -1, 1e30, 1e-320, float("nan"), "x" * 3000, "", [], {}, None, True)
@@ -129,7 +129,7 @@ def sentence(file: Path, content: Any) -> str:
     """Text of the section of a file with a content, or the sentence that refuses it."""
     file.write_text(json.dumps(content))
     try:
-        return section_of(content_of(file.parent, file.name)).text()
+        return result_section(read_content(file.parent, file.name)).terminal_text()
     except LtsimError as problem:
         says = str(problem)
         assert says.startswith(str(file)) and "\n" not in says and len(says) < len(str(file)) + 400
@@ -137,13 +137,13 @@ def sentence(file: Path, content: Any) -> str:
 
 
 def test_there_is_a_sample_of_each_result_that_has_a_section() -> None:
-    assert {*CONTENTS, "plan.json"} == {*WRITERS}
+    assert {*CONTENTS, "plan.json"} == {*SECTION_WRITERS}
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", SECTION_WRITERS)
 def test_altered_results_are_a_section_or_a_sentence(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
-    read_result(_written(tmp_path / name, content), FILES[name])  # type: ignore[type-var]
+    read_result(_written(tmp_path / name, content), FILE_MODELS[name])  # type: ignore[type-var]
     for number, changed in enumerate(altered(content)):
         try:
             assert sentence(tmp_path / name, changed)
@@ -159,14 +159,14 @@ def _written(file: Path, content: Any) -> Path:
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore")  # as the command does
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", SECTION_WRITERS)
 def test_altered_results_are_drawn_or_refused(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
     for number, changed in enumerate(altered(content)):
         _written(tmp_path / name, changed)
         try:
-            for block in section_of(content_of(tmp_path, name)).blocks:
-                assert getattr(block, "uri", "drawn")
+            for block in result_section(read_content(tmp_path, name)).blocks:
+                assert getattr(block, "data_uri", "drawn")
         except LtsimError:
             continue
         except Exception as problem:

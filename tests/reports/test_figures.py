@@ -25,7 +25,7 @@ from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import ZScoreSummary
 from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.schema import Curve, Where
+from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
@@ -35,14 +35,15 @@ from ltsim.reports import style
 from ltsim.reports.figures import (
     campaign as sweeps,
     floor_plan as floors,
+    marked_floor_plans as marked_floors,
     parameters as estimates,
     points as points,
     residuals as misfits,
 )
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.sections.campaign import coverage_words
-from ltsim.reports.words import distinct_labels, typeset
-from ltsim.reports.workshop import from_adjustment, from_scenario
+from ltsim.reports.sections.campaign import coverage_sentence
+from ltsim.reports.words import distinct_labels, typographic_text
+from ltsim.reports.workshop import workshop_from_adjustment, workshop_from_scenario
 from ltsim.simulation.scenario import load_scenario
 from tests.families import family
 from tests.reports import samples
@@ -77,23 +78,23 @@ def correlation_figure() -> Figure:
     return estimates.correlation_figure(parameters(), samples.after().instrument_covariance)
 
 
-def by_setting() -> Figure:
+def setting_rows_figure() -> Figure:
     rows = [
         sweeps.SweepPoint(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.by_setting(rows, label="improvement [%]", published=40.1)
+    return sweeps.setting_rows_figure(rows, label="improvement [%]", published=40.1)
 
 
-def by_factor() -> Figure:
+def factor_panels_figure() -> Figure:
     rows = [
         sweeps.SweepPoint(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
         for x in (1.0, 2.0, 4.0, 10.0)
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
+    return sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise factor", published=3.0)
 
 
 def sigma_figure() -> Figure:
@@ -111,7 +112,7 @@ def history_figure() -> Figure:
     return estimates.history_figure(labels, courses)
 
 
-def shares_of_limits() -> Figure:
+def error_to_limit_figure() -> Figure:
     groups = ("bar", MARKUP)
     tests = [
         {
@@ -136,53 +137,55 @@ def shares_of_limits() -> Figure:
             "tests": tests,
         }
     )
-    return points.shares_of_limits(content)
+    return points.error_to_limit_figure(content)
 
 
 def criteria_figure() -> Figure:
     rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
-    return estimates.criteria_figure(CRITERIA_TABLE.filled(rows))
+    return estimates.criteria_figure(CRITERIA_TABLE.with_rows(rows))
 
 
-def distributions() -> Figure:
+def distributions_figure() -> Figure:
     draws = stream(1, "figure").normal(29, 4, (4, 500))
     names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
     rows = [sweeps.TrialDistribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
-    return sweeps.distributions(rows)
+    return sweeps.distributions_figure(rows)
 
 
 def floor_plan() -> Figure:
-    return floors.floor_plan(from_adjustment(samples.after()))
+    return floors.floor_plan(workshop_from_adjustment(samples.after()))
 
 
 def parameter_figure() -> Figure:
     return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
 
 
-def reflector_changes() -> Figure:
+def reflector_changes_figure() -> Figure:
     changes = [PlanChange.model_validate(change) for change in samples.REFLECTOR_CHANGES]
-    return floors.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+    return marked_floors.reflector_changes_figure(workshop_from_scenario(load_scenario("paper-workshop")), changes)
 
 
-def residuals_by_covariate() -> Figure:
-    return misfits.residuals_by_covariate(residuals()[1])
+def residuals_by_covariate_figure() -> Figure:
+    return misfits.residuals_by_covariate_figure(residuals()[1])
 
 
-def residuals_by_station() -> Figure:
+def residuals_by_station_figure() -> Figure:
     first, second = residuals()
-    return misfits.residuals_by_station(second, first)
+    return misfits.residuals_by_station_figure(second, first)
 
 
 def signature_figure() -> Figure:
     first, second = residuals()
-    return misfits.signature_figure(first, second, "elevation", Where(observables=("elevation",), stations=("S2",)))
+    return misfits.signature_figure(
+        first, second, "elevation", FindingScope(observables=("elevation",), stations=("S2",))
+    )
 
 
-def trade_off() -> Figure:
+def trade_off_figure() -> Figure:
     tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
     best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
     plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
-    return estimates.trade_off(Plan.model_validate(plan), MARKUP)
+    return estimates.trade_off_figure(Plan.model_validate(plan), MARKUP)
 
 
 def budget_figure() -> Figure:
@@ -208,11 +211,11 @@ def displacement_figure() -> Figure:
     return points.displacement_figure(Comparison.model_validate({**whole, "displacements": displacements}))
 
 
-def driver_curve() -> Figure:
+def response_curve_figure() -> Figure:
     at = np.linspace(-0.6, 0.9, 40)
     value, sigma = (3.0 * np.sin(3 * at)).tolist(), [0.4] * 40
-    curve = Curve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
-    return misfits.driver_curve(curve, "distance", residuals()[0])
+    curve = ResponseCurve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
+    return misfits.response_curve_figure(curve, "distance", residuals()[0])
 
 
 def scores(z: np.ndarray) -> list[ZScoreSummary]:
@@ -220,18 +223,22 @@ def scores(z: np.ndarray) -> list[ZScoreSummary]:
     return [ZScoreSummary(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
 
 
-def coverage() -> Figure:
-    return sweeps.coverage(scores(stream(2, "figure").standard_normal((5, 400))))
+def coverage_figure() -> Figure:
+    return sweeps.coverage_figure(scores(stream(2, "figure").standard_normal((5, 400))))
 
 
-def injected_and_estimated() -> Figure:
+def injected_and_estimated_figure() -> Figure:
     at = np.linspace(0, 30, 40)
-    return misfits.injected_and_estimated(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
+    return misfits.injected_and_estimated_figure(
+        at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]"
+    )
 
 
 def values_figure() -> Figure:
     rows = {"add station S6 at (1.17, 1.08, 1.56) m, and measure all targets": (2.0, 1.0, 3.5), MARKUP: (0.5, 0.5, 0.5)}
-    return estimates.values_figure(rows, "error of a new point [um]", marks={"as read": [4.0], "limits": [0.0, 3.0]})
+    return estimates.values_figure(
+        rows, "error of a new point [um]", reference_values={"as read": [4.0], "limits": [0.0, 3.0]}
+    )
 
 
 def lines_figure() -> Figure:
@@ -239,18 +246,19 @@ def lines_figure() -> Figure:
     return estimates.lines_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
 
 
-def whereabouts() -> Figure:
+def marked_floor_plan() -> Figure:
     names = samples.recording().targets[:2]
-    return floors.whereabouts(from_adjustment(samples.after()), names, [names])
+    return marked_floors.marked_floor_plan(workshop_from_adjustment(samples.after()), names, [names])
 
 
 DRAWINGS = {
     f.__name__: f
     for f in (
-        shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
-        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, injected_and_estimated,
-        history_figure, lines_figure, parameter_figure, reflector_changes, residuals_by_covariate,
-        residuals_by_station, sigma_figure, signature_figure, trade_off, values_figure, whereabouts,
+        error_to_limit_figure, budget_figure, factor_panels_figure, setting_rows_figure, check_figure,
+        correlation_figure, coverage_figure, criteria_figure, displacement_figure, distributions_figure,
+        response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
+        parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,
+        sigma_figure, signature_figure, trade_off_figure, values_figure, marked_floor_plan,
     )
 }  # fmt: skip
 
@@ -269,7 +277,7 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 def test_every_figure_is_drawn_here() -> None:
-    modules = (estimates, floors, misfits, points, sweeps)
+    modules = (estimates, floors, marked_floors, misfits, points, sweeps)
     drawings = [one for module in modules for one in vars(module).values() if hasattr(one, "__wrapped__")]
     assert {one.__name__ for one in drawings} <= set(DRAWINGS)
 
@@ -295,7 +303,7 @@ def test_figure_shows_something_in_every_panel(draw: Callable[[], Figure]) -> No
 
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
 def test_figure_holds_no_script(draw: Callable[[], Figure]) -> None:
-    drawing = style.svg(draw())
+    drawing = style.svg_text(draw())
     assert "<b>" not in drawing
     assert "<script" not in drawing
     assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", drawing))
@@ -303,7 +311,7 @@ def test_figure_holds_no_script(draw: Callable[[], Figure]) -> None:
 
 @pytest.mark.parametrize("draw", family(DRAWINGS.values(), 6))
 def test_figure_is_the_same_twice(draw: Callable[[], Figure]) -> None:
-    assert style.svg(draw()) == style.svg(draw())
+    assert style.svg_text(draw()) == style.svg_text(draw())
 
 
 def many_correlations() -> Figure:
@@ -340,16 +348,16 @@ def test_words_stand_apart_and_inside(draw: Callable[[], Figure]) -> None:
 
 
 def test_axes_carry_units() -> None:
-    assert any("[µm]" in ax.get_ylabel() for ax in residuals_by_station().axes)
-    assert any("[°]" in ax.get_xlabel() for ax in residuals_by_covariate().axes)
+    assert any("[µm]" in ax.get_ylabel() for ax in residuals_by_station_figure().axes)
+    assert any("[°]" in ax.get_xlabel() for ax in residuals_by_covariate_figure().axes)
     assert all("[m]" in text for text in (floor_plan().axes[0].get_xlabel(), floor_plan().axes[0].get_ylabel()))
 
 
 def test_a_plan_lists_where_each_tripod_goes() -> None:
-    workshop = from_adjustment(samples.after())
-    words = [text.get_text() for text in floors.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
-    x, y, z = workshop.position[1]
-    assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
+    workshop = workshop_from_adjustment(samples.after())
+    words = [text.get_text() for text in floors.floor_plan(workshop, lists_coordinates=True).legends[0].get_texts()]
+    x, y, z = workshop.station_positions[1]
+    assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.station_yaws[1]) % 360:.0f}°" in words
     others = len(floor_plan().legends[0].get_texts())
     assert len(words) == 2 * max(others, 1 + len(workshop.stations))  # two columns: what is drawn, and the places
     assert words[len(words) // 2] == "station: x, y, z, azimuth 0"
@@ -369,46 +377,55 @@ def test_drawing_changes_no_global_setting() -> None:
 
 
 def test_numbers_read_like_numbers() -> None:
-    assert typeset(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
-    assert typeset(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
-    assert [typeset(number_text(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
-    assert [typeset(fixed_point_text(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
+    assert typographic_text(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
+    assert typographic_text(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
+    assert [typographic_text(number_text(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == [
+        "0",
+        "1234",
+        "−0.250",
+        "–",
+    ]
+    assert [typographic_text(fixed_point_text(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
 
 
 def test_coverage_interval_is_wilsons() -> None:
     row = ZScoreSummary(0, "network", "a", 100, 0.0, 1.0, 0.95)
-    assert sweeps.interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+    assert sweeps.coverage_interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
 
 
 def test_coverage_is_red_exactly_where_its_caption_says() -> None:
     z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
     rows = scores(z)
-    (drawn,) = (line for line in sweeps.coverage(rows).axes[0].lines if line.get_color() == style.RED)
-    assert sweeps.uncovered(rows) == [i in drawn.get_ydata() for i in range(6)] == [i in (1, 3) for i in range(6)]
-    words = coverage_words(rows)
+    (drawn,) = (line for line in sweeps.coverage_figure(rows).axes[0].lines if line.get_color() == style.RED)
+    assert (
+        sweeps.is_outside_allowed_coverage(rows)
+        == [i in drawn.get_ydata() for i in range(6)]
+        == [i in (1, 3) for i in range(6)]
+    )
+    words = coverage_sentence(rows)
     assert words.endswith(
         "Red: the interval lies outside the allowed band of 93.5 to 96.5 % for parameter-1, parameter-3."
     )
-    assert "No parameter is red" in coverage_words(rows[:1])
+    assert "No parameter is red" in coverage_sentence(rows[:1])
 
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
     rows = [sweeps.SweepPoint(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
-    ax = sweeps.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
+    ax = sweeps.factor_panels_figure(rows, label="error [µm]", axis="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
     spread = [sweeps.SweepPoint(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
-    ax = sweeps.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
+    ax = sweeps.factor_panels_figure(spread, label="error [µm]", axis="", joins_points=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 
 
 def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
     rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
-    figure = sweeps.by_factor(rows, label="error [µm]", axis="noise")
+    figure = sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise")
     figure.draw_without_rendering()
     seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
     assert seen == [False, True, True]
-    assert sweeps.NINETY not in [t.get_text() for t in figure.legends[0].get_texts()]
+    assert sweeps.CENTRAL_90_PERCENT_LABEL not in [t.get_text() for t in figure.legends[0].get_texts()]
 
 
 @pytest.mark.parametrize("turn", [0.0, np.pi / 4, 1.0, 5.0])
@@ -417,7 +434,7 @@ def test_a_place_with_room_around_it_has_its_name_whichever_way_it_is_turned(tur
     ax = figure.subplots()
     ax.set(xlim=(-1, 1), ylim=(-1, 1))
     place = np.zeros(2)
-    floors.place_labels(figure, ax, [floors.Label("S1", place, 9.0, away=turn)], place[None])
+    floors.draw_labels(figure, ax, [floors.MapLabel("S1", place, 9.0, preferred_direction=turn)], place[None])
     assert [text.get_text() for text in ax.texts] == ["S1"]
 
 
@@ -426,14 +443,14 @@ def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
     names = {s: f"HALL-7.NORTH.TRIPOD.{s}" for s in made.stations}
     setup = made.setup.model_copy(update={"stations": {names[k]: v for k, v in made.setup.stations.items()}})
     figure = points.check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
-    style.svg(figure)  # matplotlib warns where a layout leaves no axes
+    style.svg_text(figure)  # matplotlib warns where a layout leaves no axes
     assert all(ax.get_position().width > 0.7 for ax in figure.axes)
 
 
 @pytest.mark.parametrize("words", [1, 4, 40])
 def test_a_budget_of_long_names_of_sources_leaves_room_for_the_axes(words: int) -> None:
     figure = estimates.budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
-    style.svg(figure)
+    style.svg_text(figure)
     assert all(ax.get_position().height > 0.2 for ax in figure.axes)
 
 
@@ -466,8 +483,8 @@ SIGHTS = {
 
 @pytest.mark.parametrize("sight", SIGHTS)
 def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
-    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.CYCLE}
-    for one, other in itertools.combinations(style.CYCLE, 2):
+    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.COLOUR_CYCLE}
+    for one, other in itertools.combinations(style.COLOUR_CYCLE, 2):
         assert np.linalg.norm(seen[one] - seen[other]) > 14, f"{one} and {other}"
 
 

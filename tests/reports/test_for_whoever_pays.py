@@ -12,7 +12,7 @@ from ltsim.core.errors import RecordError
 from ltsim.recordings import read, write
 from ltsim.recordings.setup import About, Instrument
 from ltsim.reports.document import CodeBlock, Document, Section, TableBlock
-from ltsim.reports.page import document, render
+from ltsim.reports.page import document_of_folder, page_html
 from tests.reports import samples
 
 ABOUT = About(instrument="Model 9, 751234", date="2026-05-31", operator="A. Muster", customer="Hall <3>")
@@ -29,13 +29,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_head_names_who_measured_what_for_whom(folder: Path) -> None:
-    content = document(folder)
-    assert dict(content.about) == ABOUT.model_dump()
+    content = document_of_folder(folder)
+    assert dict(content.header_lines) == ABOUT.model_dump()
     assert read(folder.parent / "recording").setup.report == ABOUT
-    html = render(content)
+    html = page_html(content)
     assert "Hall &lt;3&gt;" in html
-    assert html.index("Model 9, 751234") < html.index(content.verdict) < html.index("What to do next")
-    assert content.actions[0].startswith("Measure the first three targets again")
+    assert html.index("Model 9, 751234") < html.index(content.headline) < html.index("What to do next")
+    assert content.next_actions[0].startswith("Measure the first three targets again")
 
 
 def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_path: Path) -> None:
@@ -44,8 +44,8 @@ def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_pat
     made = samples.recording()
     trackers = {"A": Instrument(model="AT960", serial="751234"), "B": Instrument(serial="9")}
     write(made.replace(setup=made.setup.model_copy(update={"instruments": trackers})), tmp_path / "recording")
-    assert dict(document(place).about)["instrument"] == "A, AT960, 751234; B, 9"
-    assert dict(document(place, about=About(instrument="C")).about)["instrument"] == "C"
+    assert dict(document_of_folder(place).header_lines)["instrument"] == "A, AT960, 751234; B, 9"
+    assert dict(document_of_folder(place, header=About(instrument="C")).header_lines)["instrument"] == "C"
 
 
 def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
@@ -56,15 +56,15 @@ def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
         shutil.copytree(tmp_path / verb / "calibration", tmp_path / verb, dirs_exist_ok=True)
     shutil.rmtree(tmp_path / "calibrate" / "recording")
     assert set(read(tmp_path / "diagnose" / "recording").targets) == set(made.targets)
-    sections = {s.folder: s for s in document(tmp_path).sections if s.kind.startswith("Calibration")}
+    sections = {s.folder: s for s in document_of_folder(tmp_path).sections if s.kind.startswith("Calibration")}
     assert "Floor plan" in {block.title for block in sections["calibrate"].blocks}
     assert "Floor plan" not in {block.title for block in sections["diagnose"].blocks}
 
 
 def test_an_option_stands_before_the_file(folder: Path) -> None:
-    content = document(folder, title="Hall 3, May", about=About(operator="B. Person"))
+    content = document_of_folder(folder, title="Hall 3, May", header=About(operator="B. Person"))
     assert content.title == "Hall 3, May"
-    assert dict(content.about) == ABOUT.model_dump() | {"operator": "B. Person"}
+    assert dict(content.header_lines) == ABOUT.model_dump() | {"operator": "B. Person"}
 
 
 @pytest.mark.parametrize(
@@ -100,10 +100,10 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
         }],
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))
-    content = document(place)
-    assert content.notice.startswith("This recording is simulated, with settling of a station (S3) injected")
-    html = render(content)
-    assert html.index(content.notice) < html.index('<div class="answer')
+    content = document_of_folder(place)
+    assert content.simulation_notice.startswith("This recording is simulated, with settling of a station (S3) injected")
+    html = page_html(content)
+    assert html.index(content.simulation_notice) < html.index('<div class="answer')
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
     rows = {row[0]: row[1:] for row in table.rows}
@@ -116,7 +116,7 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
 def test_print_leaves_settings_and_endless_tables_out() -> None:
     long = TableBlock("Long", ["a"], [[str(i)] for i in range(500)])
     section = Section("t", "Campaign", "x", blocks=[long, CodeBlock("Settings", "{}")])
-    html = render(Document("t", "x", "plain", [section]))
+    html = page_html(Document("t", "x", "plain", [section]))
     assert '<details class="endless">' in html
     assert ".listing, .endless { display: none; }" in html
 

@@ -23,8 +23,8 @@ from ltsim.core.errors import LtsimError, RecordError
 from ltsim.physics.effects import title_of
 from ltsim.recordings import write
 from ltsim.reports.document import Document
-from ltsim.reports.page import document, render
-from ltsim.reports.sections.network import targets_in_words
+from ltsim.reports.page import document_of_folder, page_html
+from ltsim.reports.sections.network import target_uncertainty_sentence
 from ltsim.reports.verbs import report
 from tests.reports import samples
 
@@ -71,12 +71,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def contents(folder: Path) -> dict[str, Document]:
-    return {name: document(folder / name) for name in PLACES}
+    return {name: document_of_folder(folder / name) for name in PLACES}
 
 
 @pytest.mark.parametrize("name", PLACES)
 def test_page_loads_nothing_from_outside(name: str, contents: dict[str, Document]) -> None:
-    reader = parsed(render(contents[name]))
+    reader = parsed(page_html(contents[name]))
     assert reader.loads
     assert [load for load in reader.loads if not load.startswith(("data:", "#"))] == []
     assert reader.handlers == []
@@ -85,18 +85,18 @@ def test_page_loads_nothing_from_outside(name: str, contents: dict[str, Document
 
 def test_answer_stands_first(contents: dict[str, Document]) -> None:
     content = contents["diagnosis"]
-    assert content.answer == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
-    text = " ".join(" ".join(parsed(render(content)).text).split())
+    assert content.summary == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
+    text = " ".join(" ".join(parsed(page_html(content)).text).split())
     printed = "Station S3 leans by 12 ± 2 µrad with a time constant of 9 ± 2 min after set-up."
     assert text.index(printed) < text.index("settling of a station")
 
 
 def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
     content = next(s for s in contents["."].sections if s.kind.startswith("Calibration"))
-    assert "calibrated from 5 stations" in content.answer
-    assert "readings agree with the model" in content.answer
-    assert "% better than before" in content.answer
-    assert content.mood == "good"
+    assert "calibrated from 5 stations" in content.summary
+    assert "readings agree with the model" in content.summary
+    assert "% better than before" in content.summary
+    assert content.assessment == "good"
     titles = [block.title for block in content.blocks]
     assert {"Instrument parameters", "Targets"} <= set(titles)
     every = [block.title for section in contents["."].sections for block in section.blocks]
@@ -108,7 +108,7 @@ def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
     assert [section.kind for section in content.sections] == ["Diagnosis", "Calibration (network)", "Recording"]
     scenes = [block for section in content.sections for block in section.blocks if block.kind == "scene"]
     assert len(scenes) == 1  # one recording, one view
-    assert content.answer == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
+    assert content.summary == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
     assert content.title == "Diagnosis: test network"  # what it is, not the folder's name
 
 
@@ -117,13 +117,13 @@ def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> No
     samples.calibration_folder(tmp_path)
     shutil.copytree(tmp_path / "recording", tmp_path / "calibration" / "recording")
     shutil.move(tmp_path / "recording", tmp_path / "converted")
-    blocks = [block for section in document(tmp_path).sections for block in section.blocks]
+    blocks = [block for section in document_of_folder(tmp_path).sections for block in section.blocks]
     titles = [block.title for block in blocks]
     assert titles.count("The workshop in 3D") == titles.count("Floor plan") == titles.count("Residuals by station") == 1
     pictures = [block for block in blocks if block.kind == "picture"]
     for picture in pictures:
-        assert not {'"', "\n"} & set(picture.uri)  # safe between quotation marks
-        with urlopen(picture.uri) as stream:
+        assert not {'"', "\n"} & set(picture.data_uri)  # safe between quotation marks
+        with urlopen(picture.data_uri) as stream:
             assert fromstring(stream.read()).tag.endswith("svg")
 
 
@@ -140,15 +140,15 @@ def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Pa
     where = {"observables": [], "stations": ["S3"], "targets": [first, second], "covariates": []}
     told["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
     (target / "diagnosis.json").write_text(json.dumps(told))
-    shown = document(target)
+    shown = document_of_folder(target)
     titles = [block.title for block in shown.sections[0].blocks]
     assert "Place of finding 1" in titles and "Effect of finding 1" not in titles
-    assert shown.actions[0].startswith(f"Exchange the names {first}, {second} at S3")
+    assert shown.next_actions[0].startswith(f"Exchange the names {first}, {second} at S3")
 
 
 def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
     alone = shutil.copytree(folder / "calibration", tmp_path / "alone")
-    titles = [block.title for block in document(alone).sections[0].blocks]
+    titles = [block.title for block in document_of_folder(alone).sections[0].blocks]
     assert {"Floor plan", "The workshop in 3D", "Residuals by station"} <= set(titles)
 
 
@@ -158,7 +158,7 @@ def test_a_p_value_of_nothing_is_shown_as_small_and_none_as_a_dash(p: float | No
     told = json.loads((target / "diagnosis.json").read_text())
     told["global_test"]["p_value"] = p
     (target / "diagnosis.json").write_text(json.dumps(told))
-    facts = {fact.name: fact.value for section in document(target).sections for fact in section.facts}
+    facts = {fact.name: fact.value for section in document_of_folder(target).sections for fact in section.key_figures}
     assert facts["global test, two-sided p"] == shown
 
 
@@ -182,7 +182,7 @@ def test_names_are_escaped_everywhere(tmp_path: Path) -> None:
 
 def test_page_is_the_same_twice(folder: Path, contents: dict[str, Document]) -> None:
     page = report(folder / "diagnosis")
-    assert page.read_text() == render(contents["diagnosis"])
+    assert page.read_text() == page_html(contents["diagnosis"])
     page.unlink()
 
 
@@ -212,25 +212,25 @@ def test_nothing_to_report_is_said(tmp_path: Path) -> None:
 
 
 def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
-    content = document(samples.campaign_folder(tmp_path / "campaign"))
-    assert content.answer.startswith(
+    content = document_of_folder(samples.campaign_folder(tmp_path / "campaign"))
+    assert content.summary.startswith(
         "Over 60 trials in each of 2 settings of noise factor, calibration improves the distance"
     )
     titles = [block.title for block in content.sections[0].blocks]
     assert {"Distance criterion, improvement", "Convergence of the trials", "z-scores of the parameters"} <= set(titles)
     assert any(title.startswith("Coverage: network") for title in titles)
-    html = render(content)
+    html = page_html(content)
     assert "Seed 11." in html
     assert parsed(html).handlers == []
 
 
 def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     """Short names with units, lines over a factor, where it is best, and the paper's figures in sentences."""
-    section = document(samples.sweep_folder(tmp_path / "sweep")).sections[0]
-    assert "in each of 27 settings of targets, angle noise and repeats," in section.answer
+    section = document_of_folder(samples.sweep_folder(tmp_path / "sweep")).sections[0]
+    assert "in each of 27 settings of targets, angle noise and repeats," in section.summary
     assert (
-        "The error of the targets is smallest with" in section.answer
-        and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.answer
+        "The error of the targets is smallest with" in section.summary
+        and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.summary
     )
     pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
     words = pictures["Distance criterion, improvement"].caption
@@ -255,20 +255,20 @@ def test_damaged_campaign_is_refused(tmp_path: Path) -> None:
 
 
 def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
-    content = document(samples.plan_folder(tmp_path / "plan"))
+    content = document_of_folder(samples.plan_folder(tmp_path / "plan"))
     blocks = {block.title: block for block in content.sections[0].blocks}
     table = blocks["Places of the tripod"]
     assert table.kind == "table"
     assert [row[0] for row in table.rows] == ["S1", "S2", "S3", "S4", "S5"]
     wanted = {"Floor plan", "The workshop in 3D", "Time against quality: instrument", "Reasons for this plan"}
     assert wanted <= set(blocks)
-    assert "Seed 5." in render(content)
+    assert "Seed 5." in page_html(content)
 
 
 def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None:
-    content = document(samples.history_folder(tmp_path / "history"))
-    assert content.answer.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
-    assert content.mood == "bad"
+    content = document_of_folder(samples.history_folder(tmp_path / "history"))
+    assert content.summary.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
+    assert content.assessment == "bad"
     blocks = {block.title: block for block in content.sections[0].blocks}
     assert {
         "Course of the parameters",
@@ -279,27 +279,27 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
     changes = blocks["Changes between calibrations"]
     assert changes.kind == "table"
     assert [row[:2] for row in changes.rows] == [["jan", "may"], ["may", "sep"], ["jan", "sep"]]
-    assert changes.marked == {1, 2}
-    reader = parsed(render(content))
+    assert changes.marked_rows == {1, 2}
+    reader = parsed(page_html(content))
     assert reader.handlers == []
     assert any(load.startswith("data:image/svg") for load in reader.loads)
 
 
 def test_next_measurement_stands_first(tmp_path: Path) -> None:
-    content = document(samples.next_folder(tmp_path / "next"))
+    content = document_of_folder(samples.next_folder(tmp_path / "next"))
     proposals = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"]
-    assert content.answer.startswith(f"Measure next: {proposals[0]['do']} (")
+    assert content.summary.startswith(f"Measure next: {proposals[0]['do']} (")
     table = next(block for block in content.sections[0].blocks if block.kind == "table")
     assert [row[0] for row in table.rows] == [p["do"] for p in proposals]
     assert all(f"{p['sharper']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
 
 
 def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
-    content = document(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
+    content = document_of_folder(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
     best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
     pair = [title_of(name) for name in ("range-step", "station-weather")]
     begin = [best["do"]] if best["distinguishes"] else pair
-    assert all(words.lower() in content.answer.lower() for words in begin)
+    assert all(words.lower() in content.summary.lower() for words in begin)
     assert "Separation of the alternatives" in [block.title for block in content.sections[0].blocks]
 
 
@@ -322,10 +322,10 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
         made.with_readings(readings), recommend_measurements=False, robust=True, noise_from_data=True
     )
     write_calibration(found, tmp_path / "cal")
-    content = document(tmp_path / "cal")
-    assert "the noise was estimated from the same readings" in content.answer
-    assert "1 reading did not fit and were left out" not in content.answer
-    assert "1 reading did not fit and was left out" in content.answer
+    content = document_of_folder(tmp_path / "cal")
+    assert "the noise was estimated from the same readings" in content.summary
+    assert "1 reading did not fit and were left out" not in content.summary
+    assert "1 reading did not fit and was left out" in content.summary
     blocks = {block.title: block for block in content.sections[0].blocks}
     noise, gone = blocks["Noise estimated from the readings"], blocks["Outlying readings"]
     assert noise.kind == gone.kind == "table"
@@ -333,7 +333,7 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     assert [row[-1] for row in gone.rows] == ["yes"]
     plain = calibrate_network(made.with_readings(readings), recommend_measurements=False)
     write_calibration(plain, tmp_path / "plain")
-    note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Verdict")
+    note = next(b for b in document_of_folder(tmp_path / "plain").sections[0].blocks if b.title == "Verdict")
     assert note.kind == "note"
     assert note.text.startswith("Trust the ")
 
@@ -342,26 +342,28 @@ def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
     specification = {"format": "ltsim-acceptance/1", "standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
     (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
     assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
-    shown = document(tmp_path / "out")
-    assert shown.verdict == "The tracker is likely to pass all tests." and "probability of" in shown.answer
-    assert dict(shown.about)["instrument"] == "Leica Absolute Tracker AT500"
+    shown = document_of_folder(tmp_path / "out")
+    assert shown.headline == "The tracker is likely to pass all tests." and "probability of" in shown.summary
+    assert dict(shown.header_lines)["instrument"] == "Leica Absolute Tracker AT500"
 
 
 def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     write_check(check(samples.recording()), tmp_path, {})
-    (section,) = document(tmp_path).sections
+    (section,) = document_of_folder(tmp_path).sections
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert list(table.header)[:3] == ["station", "test", "result"]
-    assert len(table.rows) == int(section.facts[0].value)
+    assert len(table.rows) == int(section.key_figures[0].value)
     assert (
-        section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
+        section.title.startswith("Check in the field: ")
+        and section.summary.startswith("Go: ")
+        and not section.next_actions
     )
     content = check(samples.recording())
     failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
     content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
     (tmp_path / "check.json").write_text(content.text())
-    (section,) = document(tmp_path).sections
-    assert section.actions == ["Run ltsim diagnose to locate the disagreement of the stations."]
+    (section,) = document_of_folder(tmp_path).sections
+    assert section.next_actions == ["Run ltsim diagnose to locate the disagreement of the stations."]
 
 
 def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:
@@ -371,14 +373,14 @@ def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> No
     code = f"import sys, ltsim as lt; lt.report({str(alone)!r}); print('pyvista' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
-    assert "Floor plan" in {block.title for section in document(alone).sections for block in section.blocks}
+    assert "Floor plan" in {block.title for section in document_of_folder(alone).sections for block in section.blocks}
 
 
 def test_targets_without_a_height_are_told_in_plan() -> None:
     known, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
-    assert targets_in_words(np.array([known, known])) == (
+    assert target_uncertainty_sentence(np.array([known, known])) == (
         "Expanded uncertainty of a target in space: U = 6.0 um (k = 2), 6.0 um for the worst."
     )
-    said = targets_in_words(np.array([known, open_, open_]))
+    said = target_uncertainty_sentence(np.array([known, open_, open_]))
     assert said == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
-    assert not targets_in_words(np.full((2, 3), np.nan))
+    assert not target_uncertainty_sentence(np.full((2, 3), np.nan))

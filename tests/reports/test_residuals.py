@@ -20,24 +20,28 @@ def test_file_and_adjustment_agree(tmp_path: Path) -> None:
     file = tmp_path / "residuals.csv"
     file.write_text(residuals_table(samples.after()).csv())
     read = Residuals.read(file)
-    assert read.row.tolist() == direct.row.tolist()
+    assert read.data_row.tolist() == direct.data_row.tolist()
     assert read.stations == direct.stations
     assert read.residual == pytest.approx(direct.residual, abs=1e-4)
-    assert read.w == pytest.approx(direct.w, abs=1e-3)
+    assert read.normalised_residual == pytest.approx(direct.normalised_residual, abs=1e-3)
     borrowed = read.with_covariates(direct)
     assert borrowed.covariates["elevation"] == pytest.approx(direct.covariates["elevation"])
 
 
 def test_residuals_of_the_calibrated_network_are_white() -> None:
     residuals = Residuals.from_adjustment(samples.after())
-    assert np.std(residuals.w) == pytest.approx(1.0, abs=0.1)
+    assert np.std(residuals.normalised_residual) == pytest.approx(1.0, abs=0.1)
 
 
 def test_other_noise_is_no_change_of_the_residuals() -> None:
     stated = Residuals.from_adjustment(samples.after())
-    louder = replace(stated, w=0.5 * stated.w)  # as if the noise had been found twice as large
-    assert louder.by_noise_of(stated).w == pytest.approx(stated.w)
-    assert np.isnan(louder.by_noise_of(replace(stated, row=stated.row + 10_000)).w).all()
+    louder = replace(
+        stated, normalised_residual=0.5 * stated.normalised_residual
+    )  # as if the noise had been found twice as large
+    assert louder.normalised_by_noise_of(stated).normalised_residual == pytest.approx(stated.normalised_residual)
+    assert np.isnan(
+        louder.normalised_by_noise_of(replace(stated, data_row=stated.data_row + 10_000)).normalised_residual
+    ).all()
 
 
 def test_without_a_clock_the_row_stands_for_the_time() -> None:
@@ -45,7 +49,7 @@ def test_without_a_clock_the_row_stands_for_the_time() -> None:
     assert set(Residuals.from_adjustment(adjust(made)).covariates) & {"time", "row"} == {"time"}
     timeless = Residuals.from_adjustment(adjust(made.replace(has_clock=False)))
     assert set(timeless.covariates) & {"time", "row"} == {"row"}
-    assert timeless.covariates["row"] == pytest.approx(timeless.row)
+    assert timeless.covariates["row"] == pytest.approx(timeless.data_row)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from ltsim.core.randomness import stream
 from ltsim.reports import scene3d, workshop
 from ltsim.reports.document import CONTENT_SECURITY_POLICY
 from ltsim.reports.figures.floor_plan import floor_plan
-from ltsim.reports.figures.obstacles import FEW_TRIANGLES
+from ltsim.reports.figures.obstacles import MAX_VECTOR_TRIANGLES
 from ltsim.reports.scene_page import scene_page
-from ltsim.reports.style import svg
+from ltsim.reports.style import svg_text
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Obstacle
 from tests.reports import samples
@@ -23,38 +23,43 @@ from tests.reports import samples
 
 @pytest.fixture(scope="module")
 def scene() -> workshop.PlacedWorkshop:
-    return workshop.from_recording(samples.recording())
+    return workshop.workshop_from_recording(samples.recording())
 
 
 def test_everything_stands_in_the_scene(scene: workshop.PlacedWorkshop) -> None:
-    plotter, legend = scene3d.build(scene)
+    plotter, legend = scene3d.build_scene(scene)
     names = set(plotter.actors)
     expected = {"floor", "wall-0", "wall-1", "sights", "cone-0", "shadow-4", "targets", "gauge", "gauge-lengths"}
     assert expected | {"tripods", "heads", "ellipsoids", "corrections", "rims-0", "rims-1"} <= names
-    assert legend.bar is not None
+    assert legend.colour_bar is not None
     plotter.close()
 
 
 def test_cone_ends_on_its_shadow(scene: workshop.PlacedWorkshop) -> None:
-    plotter, _ = scene3d.build(scene)
+    plotter, _ = scene3d.build_scene(scene)
     bounds = plotter.actors["cone-0"].bounds
-    radius = scene.shadow_radius(scene.openings[0])[0]
+    radius = scene.shadow_radius(scene.cone_openings[0])[0]
     assert bounds[1] - bounds[0] == pytest.approx(2 * radius, rel=1e-3)
     assert bounds[4] == pytest.approx(0.0, abs=0.02)
-    assert bounds[5] == pytest.approx(scene.position[0, 2], abs=1e-3)
+    assert bounds[5] == pytest.approx(scene.station_positions[0, 2], abs=1e-3)
     plotter.close()
 
 
 def test_ellipsoids_have_the_stated_magnification(scene: workshop.PlacedWorkshop) -> None:
-    assert scene.covariance is not None
-    one = replace(scene, targets=scene.targets[:1], points=scene.points[:1], covariance=scene.covariance[:1])
-    one = replace(one, nest_normal=one.nest_normal[:1], gauge=(), sights=None, correction=None)
-    plotter, legend = scene3d.build(one)
+    assert scene.target_covariances is not None
+    one = replace(
+        scene,
+        targets=scene.targets[:1],
+        target_points=scene.target_points[:1],
+        target_covariances=scene.target_covariances[:1],
+    )
+    one = replace(one, nest_normals=one.nest_normals[:1], gauge_pairs=(), sights=None, target_corrections=None)
+    plotter, legend = scene3d.build_scene(one)
     stated = next(line for line in legend.lines if "sigma" in line)
     factor = float("".join(c for c in stated.split("enlarged")[1] if c.isdigit()))
     bounds = np.array(plotter.actors["ellipsoids"].bounds)
     half = 0.5 * (bounds[1::2] - bounds[::2])
-    sigma = np.sqrt(np.diag(scene.covariance[0]))
+    sigma = np.sqrt(np.diag(scene.target_covariances[0]))
     assert half == pytest.approx(factor * sigma, rel=0.05)
     plotter.close()
 
@@ -67,7 +72,7 @@ def test_magnification_is_round(length: float, shown: float, factor: float) -> N
 
 
 def test_picture_is_drawn(scene: workshop.PlacedWorkshop) -> None:
-    pixels = np.asarray(image.imread(io.BytesIO(scene3d.picture(scene, window_size=(500, 400)))))
+    pixels = np.asarray(image.imread(io.BytesIO(scene3d.scene_png(scene, window_size=(500, 400)))))
     assert pixels.shape[:2] == (400, 500)
     assert (pixels[:, :, :3] < 0.97).any(axis=2).mean() > 0.2
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 500
@@ -93,11 +98,11 @@ def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) ->
 
 
 def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop.PlacedWorkshop) -> None:
-    places = scene.points.copy()
+    places = scene.target_points.copy()
     places[1] = places[0]
     words = {}
-    for points in (scene.points, places):
-        plotter, legend = scene3d.build(replace(scene, points=points))
+    for points in (scene.target_points, places):
+        plotter, legend = scene3d.build_scene(replace(scene, target_points=points))
         words[points is places] = next((line for line in legend.lines if line.startswith("omitted names")), "")
         plotter.close()
     assert scene.targets[1] in words[True]
@@ -107,28 +112,28 @@ def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: wor
 
 def test_scenario_stands_as_planned() -> None:
     scenario = load_scenario("paper-workshop")
-    shown = workshop.from_scenario(scenario)
-    assert shown.position[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
+    shown = workshop.workshop_from_scenario(scenario)
+    assert shown.station_positions[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
     assert shown.sights is not None
     assert len(shown.sights.station) == 5 * 28
-    assert len(shown.gauge) == 6
+    assert len(shown.gauge_pairs) == 6
 
 
 def test_obstacle_hides_and_is_drawn() -> None:
     scenario = load_scenario("paper-workshop")
     press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(1500, 1500, 0))
     room = scenario.workshop.model_copy(update={"obstacles": (press,)})
-    shown = workshop.from_scenario(scenario.model_copy(update={"workshop": room}))
+    shown = workshop.workshop_from_scenario(scenario.model_copy(update={"workshop": room}))
     assert shown.sights is not None
     assert len(shown.sights.station) < 140
     assert shown.notes
-    assert len(shown.hidden) == 140 - len(shown.sights.station)
+    assert len(shown.blocked_sights) == 140 - len(shown.sights.station)
     drawn = floor_plan(shown)
     assert any("slices are" in text.get_text() for text in drawn.legends[0].get_texts())
     seen = [len(dots.get_offsets()) for dots in drawn.axes[0].collections if len(dots.get_paths()[0]) == 26]
     _circles, *slices = seen
     assert slices == np.bincount(shown.sights.station, minlength=5).tolist()
-    plotter, _ = scene3d.build(shown)
+    plotter, _ = scene3d.build_scene(shown)
     bounds = plotter.actors["obstacles"].bounds
     assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))
     plotter.close()
@@ -137,7 +142,7 @@ def test_obstacle_hides_and_is_drawn() -> None:
 def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
     """The upper and the lower side of a body are seen in opposite senses from above."""
     upper = np.array([[[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [1.0, 4.0, 1.0]]])
-    room = workshop.from_scenario(load_scenario("paper-workshop"))
+    room = workshop.workshop_from_scenario(load_scenario("paper-workshop"))
     pixels = []
     for obstacles in (upper, np.concatenate([upper, upper[:, ::-1] - [0.0, 0.0, 1.0]])):
         figure, stream_ = floor_plan(replace(room, obstacles=obstacles)), io.BytesIO()
@@ -149,7 +154,7 @@ def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
 
 def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> None:
     """As vectors 200,000 triangles made a page of 45 MB, in 30 s."""
-    few = workshop.from_scenario(load_scenario("paper-workshop"))
-    body = stream(3, "bodies").uniform(0.0, 3.0, (FEW_TRIANGLES + 1, 3, 3))
-    sizes = [len(svg(floor_plan(replace(few, obstacles=body[:count])))) for count in (1, FEW_TRIANGLES + 1)]
+    few = workshop.workshop_from_scenario(load_scenario("paper-workshop"))
+    body = stream(3, "bodies").uniform(0.0, 3.0, (MAX_VECTOR_TRIANGLES + 1, 3, 3))
+    sizes = [len(svg_text(floor_plan(replace(few, obstacles=body[:count])))) for count in (1, MAX_VECTOR_TRIANGLES + 1)]
     assert sizes[1] - sizes[0] < 100_000

@@ -17,7 +17,7 @@ from ltsim.recordings import write
 from ltsim.recordings.result_file import read_result, recording_digest
 from ltsim.recordings.setup import Setup
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.schemas import RESULTS, main, schemas, tables
+from ltsim.reports.schemas import RESULT_MODELS, companion_tables, json_schemas, write_schemas
 from ltsim.reports.verbs import report
 from tests.reports import samples
 
@@ -31,9 +31,9 @@ FOLDERS = {
 }
 
 
-@pytest.mark.parametrize("model", RESULTS, ids=lambda model: model.FILE)
+@pytest.mark.parametrize("model", RESULT_MODELS, ids=lambda model: model.FILE)
 def test_every_format_is_said_once_and_has_a_schema(model: Any) -> None:
-    schema = schemas()[model.FILE]
+    schema = json_schemas()[model.FILE]
     assert schema["properties"]["format"]["const"] == model.model_fields["format"].default
     assert schema["description"].startswith(f"`{model.FILE}`")
 
@@ -42,17 +42,17 @@ def test_every_format_is_said_once_and_has_a_schema(model: Any) -> None:
 def test_a_file_holds_nothing_that_its_model_does_not_say(name: str, tmp_path: Path) -> None:
     FOLDERS[name](tmp_path / "made")
     (file,) = (tmp_path / "made").rglob(name)
-    model = next(m for m in RESULTS if name == m.FILE)
+    model = next(m for m in RESULT_MODELS if name == m.FILE)
     written = json.loads(file.read_text())
     assert read_result(file, model).content() == written
     assert read_result(file.parent, model) == read_result(file, model)
 
 
 def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
-    main(tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {f"{name}.schema.json" for name in schemas()} | {"tables.json"}
+    write_schemas(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {f"{name}.schema.json" for name in json_schemas()} | {"tables.json"}
     listed = json.loads((tmp_path / "tables.json").read_text())
-    assert listed == tables()
+    assert listed == companion_tables()
     assert all(column["about"] for beside in listed.values() for table in beside for column in table["columns"])
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Misfit, Where
-from ltsim.diagnosis.words import catalogue_sentence, summarise
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
+from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.reports.document import ReportContext, Section
 from ltsim.reports.sections.diagnosis import diagnosis_section
 from tests.reports import samples
@@ -20,22 +20,22 @@ from tests.reports import samples
 KINDS = list(CATALOGUE)
 
 
-NAMES = {kind.name for kind in KINDS} | {p.name for effect in BASELINE for p in effect.parameters}
+NAMES = {kind.name for kind in KINDS} | {p.name for effect in BASELINE_EFFECTS for p in effect.parameters}
 KEYS = re.compile(r"\b(" + "|".join(key for key in sorted({*NAMES, "tilt-x"}) if "-" in key) + r")\b")
 """Keys of effects and parameters; one without a hyphen is a word."""
 
 
 def finding(name: str, other: str) -> Finding:
     where, rows = (
-        Where(stations=("S3",)),
-        (Estimate(name="azimuth-eccentricity-sin", value=12.1, sigma=1.8, unit="urad"),),
+        FindingScope(stations=("S3",)),
+        (ParameterEstimate(name="azimuth-eccentricity-sin", value=12.1, sigma=1.8, unit="urad"),),
     )
     return Finding(
         effect=name,
         known=True,
         where=where,
         parameters=rows,
-        evidence=Evidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
+        evidence=FindingEvidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
         sentence=catalogue_sentence(name, where, rows, 0.8),
         equivalents=(Equivalent(effect=other, probability=0.2),),
     )
@@ -43,7 +43,7 @@ def finding(name: str, other: str) -> Finding:
 
 @pytest.mark.parametrize(("kind", "other"), list(zip(KINDS, KINDS[1:] + KINDS[:1], strict=True)))
 def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> None:
-    answer = summarise(
+    answer = diagnosis_summary(
         "mismatch", [finding(kind.name, other.name)], 0.01, Misfit(chi2=9.0, dof=3), Misfit(chi2=3.0, dof=2)
     )
     assert "cannot exclude" in answer
@@ -52,7 +52,11 @@ def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> Non
 
 def prose(section: Section) -> list[str]:
     """Everything on a section that a person reads: answer, actions, notes, captions, cells."""
-    return [section.text(), *section.actions, *(getattr(block, "caption", "") for block in section.blocks)]
+    return [
+        section.terminal_text(),
+        *section.next_actions,
+        *(getattr(block, "caption", "") for block in section.blocks),
+    ]
 
 
 def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) -> None:

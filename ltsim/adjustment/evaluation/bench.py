@@ -120,7 +120,7 @@ class BenchFile(ResultFile):
         return lines
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"angles": lambda: ANGLES_TABLE.filled(self.angles)}
+        return {"angles": lambda: ANGLES_TABLE.with_rows(self.angles)}
 
 
 @dataclass(frozen=True)
@@ -236,9 +236,9 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     Parameters
     ----------
     source : str or Path
-        A table ``angle_deg,length_um,probe_um``; cells are empty where one of them was not read.
+        Table ``angle_deg,length_um,probe_um``; an empty cell means that the value was not read.
     probe_direction : float, [deg]
-        Where the probe stands, from the interferometer.
+        Direction of the probe, counted from the interferometer.
     length_sigma : float, [um]
         Standard deviation of the interferometer.
 

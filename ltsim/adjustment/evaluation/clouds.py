@@ -25,7 +25,7 @@ def measured_points(
 
     They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
     """
-    whole = recording.measured.all(axis=1)
+    whole = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
     raw = recording.readings[whole]
     if construction is None or values is None:

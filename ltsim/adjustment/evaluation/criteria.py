@@ -35,7 +35,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
 
-MAX_STATION_TARGET_PAIRS = 20_000_000
+MAX_COMPARED_PAIRS = 20_000_000
 """Largest number of stations times targets whose clouds are compared (0.5 GB of memory)."""
 
 
@@ -136,7 +136,7 @@ class CriteriaEntry(Entry):
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
                 rows.append([name, *sizes, criterion.improvement_percent])
-        return CRITERIA_TABLE.filled(rows)
+        return CRITERIA_TABLE.with_rows(rows)
 
 
 class Criteria(ResultFile, CriteriaEntry):
@@ -221,7 +221,7 @@ def evaluate_criteria(
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
-    if stations * targets > MAX_STATION_TARGET_PAIRS:
+    if stations * targets > MAX_COMPARED_PAIRS:
         raise NetworkError(
             f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
@@ -235,13 +235,13 @@ def evaluate_criteria(
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
     def compare(measure: Callable[[Floats], StationDisagreement], *, aligned: bool) -> CriterionEntry:
-        def of(clouds: Floats) -> StationDisagreement:
+        def disagreement_of(clouds: Floats) -> StationDisagreement:
             return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
-        raw = of(before)
+        raw = disagreement_of(before)
         if not len(raw.values):
-            raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
-        return CriterionEntry.from_differences(raw, None if after is None else of(after))
+            raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
+        return CriterionEntry.from_differences(raw, None if after is None else disagreement_of(after))
 
     return CriteriaEntry(
         distance=compare(distance_differences, aligned=False),
@@ -315,19 +315,19 @@ def verify_against_nominal(
             f"only {int(has_nominal.sum())} targets of the recording have nominal points; at least three are needed"
         )
 
-    def of(points: Floats) -> tuple[StationDisagreement, StationDisagreement]:
+    def disagreements_at(points: Floats) -> tuple[StationDisagreement, StationDisagreement]:
         clouds = station_point_clouds(recording, points)[:, has_nominal]
         try:
             return distance_errors(clouds, goal[has_nominal]), coordinate_errors(clouds, goal[has_nominal])
         except NetworkError as problem:
             raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
 
-    distance, coordinate = of(measured_points(recording))
+    distance, coordinate = disagreements_at(measured_points(recording))
     if construction is None or values is None:
         return CriteriaEntry(
             distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
         )
-    after = of(measured_points(_subtract_change(recording, reading_changes), construction, values))
+    after = disagreements_at(measured_points(_subtract_change(recording, reading_changes), construction, values))
     return CriteriaEntry(
         distance=CriterionEntry.from_differences(distance, after[0]),
         coordinate=CriterionEntry.from_differences(coordinate, after[1]),

@@ -70,10 +70,10 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     ----------
     recording : Recording, str or Path
     level : float
-        Chance of one false alarm in the whole recording, if noise and specification are correct.
+        Probability of any false alarm in the whole recording, if noise and specification are correct.
     mpe : pair of float, optional
-        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the noise
-        and the specification of the instrument.
+        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default from the noise and
+        the specification of the instrument.
 
     Raises
     ------

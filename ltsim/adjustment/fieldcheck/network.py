@@ -28,7 +28,7 @@ from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
 """Number of tests of all stations together: common targets, and levels."""
-TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
+EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that may be excluded; levels are tested one by one."""
 MIN_LEVEL_REDUNDANCY = 0.05
 """Redundancy below which no other station checks a level."""
@@ -37,7 +37,7 @@ MIN_LEVEL_REDUNDANCY = 0.05
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
     """Network as of `adjust`, with moving stations, or the error if there is none."""
     try:
-        plain = adjust(recording, effects=motions, robust=bool(motions), tested_kinds=TESTED_REFERENCE_KINDS)
+        plain = adjust(recording, effects=motions, robust=bool(motions), tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
         require_usable(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
@@ -59,7 +59,7 @@ def scale_target_noise(
             recording,
             declared_construction(recording),
             effects=adjustment_or_error.effects,
-            tested_kinds=TESTED_REFERENCE_KINDS,
+            tested_kinds=EXCLUDABLE_REFERENCE_KINDS,
         )
     named, ratio, rest = adjustment_or_error.noisy_targets
     if not len(named) or not ratio > 1.0 or verdict_on(adjustment_or_error).agreement is not VerdictCase.LARGER_NOISE:
@@ -105,7 +105,7 @@ def network_items(
         if isinstance(adjustment_or_error, LtsimError):
             raise adjustment_or_error
         motions = (*motions, *moving_stations)
-        fitted = adjust(recording, built, effects=motions, robust=True, tested_kinds=TESTED_REFERENCE_KINDS)
+        fitted = adjust(recording, built, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
     except (NetworkError, ConvergenceError) as problem:
         return (CheckItem.from_test("", "network", False, f"the set-ups do not form a network: {problem}"),)
     items = [CheckItem.from_test("", "network", False, doubt) for doubt in network_warnings(adjustment_or_error)]
@@ -137,14 +137,14 @@ def network_items(
         use, any_rejected = fitted.problem.used_readings, fitted.is_rejected.any()
         again = any_rejected or with_target_noise or len(motions) > len(adjustment_or_error.effects)
         without = (
-            adjust(recording, effects=motions, reading_mask=use, tested_kinds=TESTED_REFERENCE_KINDS)
+            adjust(recording, effects=motions, reading_mask=use, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
             if again
             else adjustment_or_error
         )
         if _has_instrument_errors(without, fitted):
             without = fitted
         elif any_rejected:
-            without = adjust(recording, effects=motions, robust=True, tested_kinds=TESTED_REFERENCE_KINDS)
+            without = adjust(recording, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
         alone, less = two_sided_chi2_p_value(without.chi2, without.dof)
         if (
             with_target_noise and not less and family.corrected_p_value(alone) < family.false_alarm_rate

@@ -53,7 +53,7 @@ class ColumnsFit:
     covariance: Floats
 
     def length_and_sigma(self, which: slice) -> tuple[float, float]:
-        """Length of a part of the estimate, and its standard deviation."""
+        """Length of the vector of some estimated values, and its standard deviation."""
         part, spread = self.estimates[which], self.covariance[which, which]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
@@ -156,7 +156,7 @@ class StationOccupation:
         return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
-        """p-value of a chi-square decrease: the larger of those by the declared and by the estimated noise."""
+        """p-value of a chi-square decrease: the larger one of declared and of estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -349,7 +349,7 @@ def two_face_pairs(
         raise NetworkError("no station measured a target in range and both angles on both faces")
     built = construction or ideal_construction()
     applied = np.zeros(built.n_parameters) if values is None else values
-    readings = np.where(recording.measured, recording.readings, 1.0)
+    readings = np.where(recording.is_measured, recording.readings, 1.0)
     polar = to_polar(built.point(readings, applied))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second

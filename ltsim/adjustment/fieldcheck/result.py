@@ -53,7 +53,7 @@ class CheckItem(Entry):
     def from_test(
         cls, place: str, kind: CheckItemKind, passed: bool, sentence: str, p_value: float | None = None, **details: Any
     ) -> CheckItem:
-        """Item of a test with its sentence, p-value, and the targets, rows or times that it concerns."""
+        """Item of a test with its sentence, its p-value, and the targets, rows or times of the tested readings."""
         return cls(station=place, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
@@ -171,7 +171,7 @@ class Check(ResultFile):
         return [self.sentence]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"items": lambda: ITEMS_TABLE.filled(self.items), "two_face": self._two_face_table}
+        return {"items": lambda: ITEMS_TABLE.with_rows(self.items), "two_face": self._two_face_table}
 
     def _two_face_table(self) -> Table:
         """Table of half two-face differences with their limits, one row per pair."""
@@ -187,11 +187,11 @@ class Check(ResultFile):
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
-        return TWO_FACE_TABLE.filled(rows)
+        return TWO_FACE_TABLE.with_rows(rows)
 
 
 def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
-    """Sentence with go or no-go and its reason: first causes from which others follow, then noisy targets."""
+    """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
     failed = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
     rest = sorted(

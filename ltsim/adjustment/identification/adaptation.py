@@ -39,17 +39,17 @@ def adjust_with_causes(
     ----------
     fit : Fit
     recording : Recording
-        As it was read.
+        Recording as it was read.
     construction : Construction
     hypotheses : sequence of Hypothesis
-        Of the fit, all of its shifts or none.
+        Hypotheses of the fit: all of its shifts, or none.
     effects : sequence of Signature
         Further effects to estimate; they come first.
     subtracted_changes : bool
         Subtract the estimated shifts from the readings. They are estimated with the network in any case: from zero
         then, and from their estimates otherwise.
-    **how
-        Further options of `adjust`.
+    **options
+        Options of `adjust`.
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),

@@ -42,7 +42,7 @@ def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
 
 
 def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
-    """Restricted maximum likelihood of a common factor on standard deviations, and its log likelihood ratio.
+    """Restricted maximum likelihood estimate of a common factor on standard deviations, and its log likelihood ratio.
 
     The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """

@@ -1,4 +1,4 @@
-"""Robust fit of a network with some hypotheses in its model, and its log evidence."""
+"""Robust fit of a network with hypotheses in its model, and its log evidence."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_SHIFT_SIGMAS = 4.0
-"""Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000 cases."""
+"""Smallest shift, in its standard deviations, that a fit may contain; by chance 1 of 16,000 estimates exceeds four."""
 MAX_NOISE_ESTIMATES = 3
 """Largest number of estimates of the noise factors in a fit."""
 NOISE_TOLERANCE = 0.05
@@ -84,12 +84,12 @@ class NetworkFit:
 
     Attributes
     ----------
-    network : Network
+    network : FitInput
     hypotheses : tuple of Hypothesis
-    whole : NetworkProblem
+    problem_with_all_readings : NetworkProblem
         Least-squares problem with all usable readings.
     problem : NetworkProblem
-        With the readings in use that fit.
+        Least-squares problem with the readings that fit.
     solution : Solution
     """
 
@@ -253,7 +253,7 @@ class NetworkFit:
     @cached_property
     def adjustment(self) -> Adjustment:
         """Adjustment with the state and readings of the fit."""
-        out = self.recording.measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
+        out = self.recording.is_measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property
@@ -267,7 +267,7 @@ class NetworkFit:
         signatures = list[Signature]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
-            signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
+            signatures.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
         return tuple(signatures)
 
     def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:

@@ -85,13 +85,13 @@ class Hypothesis:
     acts_on : str
         Observable, `position`, `reference value` or `noise`.
     stations, targets : tuple of str
-        Where; empty for everywhere.
+        Names of the stations and targets where the cause acts; empty for all.
     log_prior : float
-        Of this hypothesis, its place included, against nothing.
-    change : Change
-        What it changes in the model.
+        Log prior odds of this hypothesis at its place, relative to no cause.
+    model_change
+        Change of the model by the cause.
     name : str
-        Further words of its place: of a reference value, a slip.
+        Further name of the place: of a reference value or a wrong entry.
     rows : tuple of int
         Rows, from 1, that it is about, where these are few.
     """
@@ -118,6 +118,6 @@ class Hypothesis:
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes_with(self, other: Hypothesis) -> bool:
-        """True if both may explain the same readings: same station or target, or one of them acts everywhere."""
+        """True if both may explain the same readings: equal station or target, or one of them acts everywhere."""
         places = [(*h.stations, *h.targets) for h in (self, other)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

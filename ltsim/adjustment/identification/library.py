@@ -67,14 +67,14 @@ class ShiftFamily:
 
     Attributes
     ----------
-    kind : Kind
+    kind : CauseKind |
     acts_on : str
-    place : {`station`, `target`}
+    place_kind : {`station`, `target`}
     design : (n, 3, p) float
-        Change of the readings per unit of each parameter, if it acted everywhere.
-    onset : int
-        Pointings of the place that must lie before and after the moment when it begins; 0 for a shift from the
-        beginning.
+        Change of the readings per unit of each parameter, for a shift of all readings.
+    first_onset : int
+        Number of pointings of a place that must lie before and after the time when the shift begins; 0 for a shift from
+        the beginning.
     """
 
     kind: CauseKind

@@ -78,7 +78,10 @@ def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[
 
 
 def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
-    """Indices of shifts with equal numbers of columns, ordered by length, with at most `AT_ONCE` entries."""
+    """Indices of shifts with equal numbers of columns, ordered by length.
+
+    A batch has at most `MAX_TEMPORARY_ENTRIES` entries.
+    """
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):
         if batch and (

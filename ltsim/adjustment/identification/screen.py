@@ -155,7 +155,7 @@ def _projected_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Flo
 
 
 def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Log evidence (h,) of candidates by their own rows alone, with the redundancy of each."""
+    """Log evidence (h,) of candidates from the residuals of their own rows, with the redundancy of each row."""
     use, count = space.used_readings, int(space.used_readings.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
     residual[use], share[use] = space.residuals[:count], np.maximum(space.redundancy[:count], 1e-3)

@@ -26,7 +26,7 @@ from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.limits import ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
@@ -67,7 +67,8 @@ MAX_OUTLIER_FRACTION_CONSISTENT = 0.01
 `FAMILY_LEVEL`.
 """
 MIN_REFERENCE_MAJORITY = 3
-"""Ratio of all reference values to those far off from which the latter are omitted at the beginning: a majority."""
+"""Smallest ratio of the number of reference values to the number of those far off at which the latter are omitted from
+the start: the others are then the majority."""
 MIN_GAIN_FRACTION_FROM_STATE = 0.5
 """Fraction of its approximate gain that a hypothesis must reach from the present state; otherwise it is fitted from the
 start.
@@ -75,9 +76,8 @@ start.
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
 """Log evidence of a shift of ten standard deviations; a smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_TRUSTED = 0.8
-"""Fraction of the approximate gain reached by the first hypothesis from which the approximate gains of the others are
-trusted.
-"""
+"""Fraction of its approximate gain that the first fitted hypothesis must reach for the approximate gains of the others
+to be trusted."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ class CauseSelection:
 
     Attributes
     ----------
-    fit : Fit
-    choices : tuple of Choice
-        Shifts first, then noise; of each the surest first.
+    fit : NetworkFit
+    selected_hypotheses : tuple of SelectedHypothesis
+        Selected shifts, then changes of the noise; the most certain first in each group.
     """
 
     fit: NetworkFit
@@ -237,7 +237,7 @@ def _has_general_misfit(fit: NetworkFit) -> bool:
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
-    """True if a large network, or one of computed readings, is consistent as a whole, so that no place is searched.
+    """True if a large network, or one of computed readings, passes the global test: no place is searched.
 
     In a network of `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one place has little influence on the others.
     """
@@ -259,7 +259,7 @@ def identify_causes(
 
     NetworkError where it holds too many pointings.
     """
-    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select_causes(FitInput(recording, construction or declared_construction(recording), prior))
     except LtsimError:
@@ -368,7 +368,7 @@ def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, required: list[Hypothe
 def _compare_again(
     fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, required: list[Hypothesis]
 ) -> CauseSelection:
-    """Selection in which every chosen hypothesis is compared again with its alternatives, given the others.
+    """Selection in which every hypothesis is compared again with its alternatives, given the others.
 
     Without those of the `initial_fit` there is no network. `last_fit` are the hypotheses that were fitted in place of
     the last one.

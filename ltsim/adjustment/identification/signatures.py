@@ -20,14 +20,14 @@ class ReadingShift(Signature):
     Attributes
     ----------
     observable : {`distance`, `azimuth`, `elevation`}
-    proportional : bool
-        Whether it grows with the range (a scale error).
+    is_proportional : bool
+        True if the shift grows with the range (a scale error).
     stations, targets : tuple of str
-        Where it acts; empty for all.
-    since : float
-        First time [s] at which it acts.
-    coarse : float
-        Times its usual size that is plausible.
+        Names of the stations and targets whose readings are shifted; empty for all.
+    onset_time : float
+        First time [s] of shifted readings.
+    size_factor : float
+        Largest plausible size, in units of the usual size.
     """
 
     observable: str
@@ -35,7 +35,7 @@ class ReadingShift(Signature):
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
     onset_time: float = -np.inf
-    coarse: float = 1.0
+    size_factor: float = 1.0
 
     @property
     def name(self) -> str:
@@ -54,7 +54,7 @@ class ReadingShift(Signature):
     @property
     def size_scales(self) -> Floats:
         """Plausible size (1,) of the parameter [SI]."""
-        return self.coarse * super().size_scales
+        return self.size_factor * super().size_scales
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
@@ -63,7 +63,7 @@ class ReadingShift(Signature):
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at a value; distances with a scale error change in proportion to their change."""
         design = self.design(sightings)
         if not self.is_proportional:

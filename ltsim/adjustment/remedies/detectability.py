@@ -24,13 +24,13 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 ParameterType = TypeVar("ParameterType")
 MIN_CONFUSABLE_FRACTION = 0.9
 """Fraction of a signature that another effect explains from which the two count as confusable."""
-ROUNDING = 1e-9
+INFORMATION_ROUNDING_ERROR = 1e-9
 """Information on a term of the calibration, relative to that of its prior, that rounding may produce."""
 PROJECTION_BATCH_ROWS = 512
 """Number of rows that are projected together."""
@@ -45,7 +45,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
     physics counts as one more effect.
     """
-    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE) + 1))
+    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
@@ -199,12 +199,13 @@ def _place_text(effect: Effect) -> str:
 def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of a term of the ordinary calibration, with the other terms and their priors in the model.
 
-    Such a term is estimated and not tested; the size is the one at which its estimate differs significantly from zero.
+    Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
+    from zero.
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
-    information[np.diag(information) * prior**2 < ROUNDING] = 0.0
+    information[np.diag(information) * prior**2 < INFORMATION_ROUNDING_ERROR] = 0.0
     sizes = _minimal_sizes(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 

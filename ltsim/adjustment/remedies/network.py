@@ -91,20 +91,20 @@ class PlannedNetwork:
         when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
         when = when if when.ndim else when + step * np.arange(count)
         last = int(np.argmax(recording.time))
-        flat = "horizontal" if recording.is_horizontal[recording.measured[:, 0]].all() else ""
+        flat = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
 
-        def joined(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
+        def append_rows(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
             return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
 
         whole = recording.replace(
-            station=joined(recording.station, station),
-            target=joined(recording.target, target),
-            face=joined(recording.face, face),
-            repeat=joined(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
-            time=joined(recording.time, when),
-            readings=joined(recording.readings, np.nan),
+            station=append_rows(recording.station, station),
+            target=append_rows(recording.target, target),
+            face=append_rows(recording.face, face),
+            repeat=append_rows(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
+            time=append_rows(recording.time, when),
+            readings=append_rows(recording.readings, np.nan),
             covariates={
-                key: joined(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
+                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
                 for key, column in recording.covariates.items()
             },
             labels={
@@ -114,7 +114,7 @@ class PlannedNetwork:
         )
         predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
         reads = np.array(
-            [recording.measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+            [recording.is_measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
         )
         predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
         return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))

@@ -42,7 +42,7 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 MIN_DECISIVE_CHI2 = 10.0
 """Expected difference of chi-square from which two explanations count as distinguished."""
 N_EVALUATED_PLACES = 24
-"""Number of additional places whose evidence is computed completely: those with most information on the instrument."""
+"""Number of additional places with complete evidence: those with most information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
 """Default time [s] to move the instrument and set it up."""
 

@@ -31,7 +31,7 @@ SETUP_KINDS = ("return", "station")
 """Kinds of remedies that need another set-up."""
 
 N_CLOSING_TARGETS = 3
-"""Number of targets that are measured again before a station is left."""
+"""Number of targets that are measured again before the tracker leaves a station."""
 N_ADDITIONAL_ROUNDS = 4
 """Number of additional rounds at the last station."""
 N_SUSPECT_POINTINGS = 3
@@ -39,13 +39,13 @@ N_SUSPECT_POINTINGS = 3
 BASE_ROTATION = 90.0 * DEGREE
 """Rotation of the base at a position that an instrument has already had."""
 MAX_REPEATED_SETUPS = 12
-"""Largest number of set-ups that are tried again, distributed evenly."""
+"""Largest number of set-ups whose repetition is evaluated; they are distributed evenly over the recording."""
 N_GRID_POSITIONS = 5
-"""Number of positions along each side of the floor that are tried for an additional station."""
+"""Number of candidate positions of an additional station along each side of the floor."""
 N_YAWS = 4
-"""Number of yaws that are tried at each position of an additional station."""
+"""Number of candidate yaws at each position of an additional station."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups from which no additional one is tried."""
+"""Number of set-ups from which an additional set-up is no longer evaluated."""
 MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
 REFERENCE_BAR_LENGTH = 2.0

@@ -27,19 +27,22 @@ from ltsim.physics.model.construction import Construction
 MIN_DETERMINED_GAIN = 0.5
 """Smallest gain of a determined combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain below which combinations count as equally undetermined, so that simple rotations of them are reported."""
+"""Gain below which combinations count as equally undetermined; they are then rotated to combinations of few parameters.
+"""
 MIN_REPORTED_COEFFICIENT = 0.1
 """Smallest coefficient of a combination that is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.05
 """Smallest increase of a gain that is worth a measurement."""
 
 
-ROUNDING = 1e-9
+GAIN_ROUNDING_ERROR = 1e-9
 """Gain, and difference of gains, that rounding may produce."""
-TIE = 1e-6
+MAX_EQUAL_COEFFICIENT_DIFFERENCE = 1e-6
 """Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
-MOST_SWEEPS, SMALLEST_ANGLE = 200, 1e-13
-"""Largest number of sweeps of planar rotations, and largest angle [rad] of a sweep after which they have converged."""
+MAX_ROTATION_SWEEPS = 200
+"""Largest number of sweeps of planar rotations."""
+MIN_ROTATION_ANGLE = 1e-13
+"""Largest angle [rad] of a sweep after which they have converged."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class ParameterCombination:
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by name, largest first; the largest is positive, the first of equally large ones."""
         size = np.abs(self.vector)
-        order = np.argsort(-np.round(size / TIE), kind="stable")
+        order = np.argsort(-np.round(size / MAX_EQUAL_COEFFICIENT_DIFFERENCE), kind="stable")
         sign = np.sign(self.vector[_first_of_largest(size)])
         return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
 
@@ -79,14 +82,14 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     vectors = np.concatenate([rotate_to_simple_structure(vectors[:, silent]), vectors[:, ~silent]], axis=1)
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
-    gain = np.where(gain < ROUNDING, 0.0, gain)
+    gain = np.where(gain < GAIN_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
-    return sorted(weak, key=lambda d: (round(d.gain / ROUNDING), _first_of_largest(np.abs(d.vector))))
+    return sorted(weak, key=lambda d: (round(d.gain / GAIN_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
 
 
 def _first_of_largest(sizes: Floats) -> int:
     """Index of the first of the largest sizes that are equal up to rounding."""
-    return int(np.flatnonzero(sizes >= (1.0 - TIE) * sizes.max())[0])
+    return int(np.flatnonzero(sizes >= (1.0 - MAX_EQUAL_COEFFICIENT_DIFFERENCE) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
@@ -100,21 +103,21 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
     Kaiser, The varimax criterion, Psychometrika 23 (1958) 187.
     """
     columns = list(_basis_of_span(vectors).T)
-    for _ in range(MOST_SWEEPS):
+    for _ in range(MAX_ROTATION_SWEEPS):
         largest = 0.0
         for i, j in combinations(range(len(columns)), 2):
             x, y = columns[i], columns[j]
             u, v = x**2 - y**2, 2.0 * x * y
             sine = 2.0 * (u @ v - u.sum() * v.sum() / len(u))
             cosine = u @ u - v @ v - (u.sum() ** 2 - v.sum() ** 2) / len(u)
-            if np.hypot(sine, cosine) > ROUNDING:
+            if np.hypot(sine, cosine) > GAIN_ROUNDING_ERROR:
                 angle = 0.25 * np.arctan2(sine, cosine)
                 columns[i], columns[j] = (
                     np.cos(angle) * x + np.sin(angle) * y,
                     np.cos(angle) * y - np.sin(angle) * x,
                 )
                 largest = max(largest, abs(angle))
-        if largest < SMALLEST_ANGLE:
+        if largest < MIN_ROTATION_ANGLE:
             break
     return np.array(columns).reshape(-1, len(vectors)).T
 

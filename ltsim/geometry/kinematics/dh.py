@@ -22,8 +22,7 @@ The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, s
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
 """
 
-import math
-
+from ltsim.core.units import QUARTER_TURN
 from ltsim.geometry.kinematics.chain import (
     ConstantAmount,
     ElementaryMotion,
@@ -32,8 +31,6 @@ from ltsim.geometry.kinematics.chain import (
     RotationStep,
     TranslationStep,
 )
-
-QUARTER_TURN = math.pi / 2
 
 
 def joint_error_motions(joint: str) -> tuple[ElementaryMotion, ...]:

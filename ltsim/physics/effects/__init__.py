@@ -69,7 +69,7 @@ ORDINARY_CALIBRATION_EFFECTS = (
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
 """Names of the effects whose parameters every ordinary calibration estimates."""
-BASELINE = tuple(
+BASELINE_EFFECTS = tuple(
     effect for name in ORDINARY_CALIBRATION_EFFECTS.split() if isinstance(effect := find_effect(name)(), SlotEffect)
 )
 """Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and

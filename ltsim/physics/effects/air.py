@@ -2,8 +2,9 @@
 
 There are three causes, each a catalogue effect: a temperature along the beams that differs from the measured one
 (`station-weather`: 0.95 ppm/K of a range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2)
-and turbulence (`turbulence`: a variance of C d^3 across the beam). At 10 m the sizes of `Air` are 5 um along and 11 um
-across the beam, at 40 m 19 um and 110 um, less than manufacturers' limits across the beam there (15 um + 6 um/m).
+and turbulence (`turbulence`: a variance of C d^3 across the beam). At 10 m the sizes of `AirUncertainty` are 5 um along
+and 11 um across the beam, at 40 m 19 um and 110 um, less than manufacturers' limits across the beam there (15 um + 6
+um/m).
 """
 
 import numpy as np

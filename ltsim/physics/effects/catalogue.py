@@ -1,4 +1,4 @@
-"""Catalogue of effects, built-in and from installed packages, and the description (card) of each.
+"""Catalogue of effects, built-in and from installed packages, and the entry of each.
 
 A package adds effects by entry points of the group `ltsim.effects`, each naming a class:
 
@@ -7,8 +7,8 @@ A package adds effects by entry points of the group `ltsim.effects`, each naming
 
 Packages are searched when the catalogue is first read beyond the built-in effects, not when ltsim is imported.
 
-A card is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause; then
-come the law, with its sign, and a paragraph for each of `CARD_SECTIONS`.
+The entry is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause;
+then come the equation, with its sign, and a paragraph for each of `DOCSTRING_SECTIONS`.
 """
 
 import inspect
@@ -34,12 +34,12 @@ PACKAGE_EFFECTS_GROUP = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
-CARD_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
+DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
 """Parts of a catalogue entry: sizes in a good and in a bad instrument or room; effects that leave similar residuals,
 with two correlations of the residuals in the reference workshop, one face and two faces; the measurement that
 distinguishes it from these; domain in which the law holds; literature; how the law was validated.
 """
-_SECTION_START = re.compile(rf"^({'|'.join(CARD_SECTIONS)}): ", re.MULTILINE)
+_SECTION_START = re.compile(rf"^({'|'.join(DOCSTRING_SECTIONS)}): ", re.MULTILINE)
 """Start of a section of a catalogue entry: its name and a colon."""
 
 
@@ -54,31 +54,32 @@ class CatalogueEntry:
     equation: str
     """Equation of the effect with its sign, line by line as in the docstring."""
     section_texts: tuple[str, ...]
-    """Texts of the sections in `CARD_SECTIONS`, in that order."""
+    """Texts of the sections in `DOCSTRING_SECTIONS`, in that order."""
 
     @classmethod
     def from_docstring(cls, docstring: str) -> Self:
-        """Card parsed from a docstring.
+        """Catalogue entry parsed from the docstring of an effect.
 
-        Raises ModelError that names a part that is missing, repeated or out of order.
+        Raises ModelError that names a section that is missing, repeated or out of order.
         """
         head, _, rest = inspect.cleandoc(docstring).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
-            raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
+            first_line = head.partition("\n")[0]
+            raise ModelError(f"the docstring of an effect begins with 'Title: cause.', found {first_line!r}")
         pieces = _SECTION_START.split(rest)
-        if tuple(pieces[1::2]) != CARD_SECTIONS:
-            pieces_in_bold = ", ".join(pieces[1::2]) or "none"
-            raise ModelError(f"a card has the parts {', '.join(CARD_SECTIONS)} in this order, found {pieces_in_bold}")
+        if tuple(pieces[1::2]) != DOCSTRING_SECTIONS:
+            wanted, present = ", ".join(DOCSTRING_SECTIONS), ", ".join(pieces[1::2]) or "none"
+            raise ModelError(f"the docstring of an effect has the sections {wanted} in this order, found {present}")
         law, *sections = (piece.strip() for piece in pieces[::2])
-        for name, part in zip(("law", *CARD_SECTIONS), (law, *sections), strict=True):
+        for name, part in zip(("law", *DOCSTRING_SECTIONS), (law, *sections), strict=True):
             if not part:
-                raise ModelError(f"the part {name} of a card is empty")
+                raise ModelError(f"the section {name} of the docstring is empty")
         return cls(title, cause, law, tuple(" ".join(part.split()) for part in sections))
 
     def sections(self) -> tuple[tuple[str, str], ...]:
-        """Pairs (name, text) of the parts after the law."""
-        return tuple(zip(CARD_SECTIONS, self.section_texts, strict=True))
+        """Pairs (name, text) of the sections after the equation."""
+        return tuple(zip(DOCSTRING_SECTIONS, self.section_texts, strict=True))
 
 
 @cache
@@ -138,7 +139,7 @@ class Catalogue(Sequence[type[Effect]]):
     def add(self, effect_class: type[Effect]) -> type[Effect]:
         """Registration of an effect class for this session; it replaces an earlier one of the same name.
 
-        A class without a card gets an empty one. Raises ModelError if the class is no valid effect.
+        A class without a docstring gets an empty entry. Raises ModelError if the class is no valid effect.
         """
         if why := interface_fault(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
@@ -149,7 +150,7 @@ class Catalogue(Sequence[type[Effect]]):
             catalogue_entry(effect_class)
         except ModelError:
             title = effect_class.name.replace("-", " ").capitalize()
-            parts = "\n\n".join(f"{part}: not given." for part in CARD_SECTIONS)
+            parts = "\n\n".join(f"{part}: not given." for part in DOCSTRING_SECTIONS)
             effect_class.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {
             **self.entries,

@@ -57,7 +57,7 @@ def refractivity(
     humidity : float, [%]
         Relative.
     wavelength : float, [m]
-        In vacuum.
+        Wavelength in vacuum.
     """
     temperature = np.asarray(temperature, dtype=np.float64)
     wave = (1e-6 / wavelength) ** 2

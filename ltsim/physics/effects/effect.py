@@ -67,7 +67,7 @@ class Effect(CandidateEffect):
     """Names of the stations at which the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets at which the effect acts; empty for all."""
-    coarse: float = field(default=1.0, kw_only=True)
+    size_factor: float = field(default=1.0, kw_only=True)
     """Factor on the plausible size for instruments that are coarser than a laser tracker."""
 
     name: ClassVar[str]
@@ -82,7 +82,7 @@ class Effect(CandidateEffect):
     @property
     def size_scales(self) -> Floats:
         """Plausible sizes (p,) of the parameters [SI]."""
-        return self.coarse * super().size_scales
+        return self.size_factor * super().size_scales
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -18,7 +18,7 @@ class FaceConfusion(Blunder):
     Like: nothing.
     Separate by: nothing is needed: the raw elevation itself says on which face it was read.
     Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
-    so `candidates` is empty and `possible` lists the mistakes.
+    so `candidates` is empty and `possible_blunders` lists the mistakes.
     Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
     Vermessungstechnik.
     Status: validated: twice the same mistake gives the reading back.

@@ -22,7 +22,7 @@ STATION_PLUME_RADIUS = 0.25
 TARGET_PLUME_RADIUS = 0.5
 """Radius [m] of candidate plumes near a target."""
 MAX_SINGLE_PLACES = 40
-"""Number of stations, or targets, beyond which plumes at single ones are not tried."""
+"""Number of stations, or targets, above which plumes at single ones are not candidates."""
 
 
 def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:

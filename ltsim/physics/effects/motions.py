@@ -80,7 +80,7 @@ class TargetMotion(Effect):
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
         apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
         return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
@@ -100,7 +100,7 @@ class StationMotion(Effect):
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_station_change(sightings, self.motion(sightings) @ values)
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         motion = self.motion(sightings)
         apparent = _apparent_sightings(sightings, motion @ values)
         return _linearised_change(sightings, apparent, station_design(apparent) @ motion)

@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 
 PLAUSIBLE_LIFT = 50 * MICROMETRE
 """Plausible lift [m] of a reflector in its nest."""
-MAX_STATION_TARGET_PAIRS = 600
+MAX_PAIRS_WITH_SINGLE_SEATINGS = 600
 """Number of pairs of station and target beyond which single seatings are not searched, because the
 w-test detects them.
 """
@@ -54,7 +54,7 @@ class NestLift(TargetMotion):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
         pairs = station_target_pairs(sightings)
-        if len(pairs) > MAX_STATION_TARGET_PAIRS:
+        if len(pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
             return []
         oriented = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented}

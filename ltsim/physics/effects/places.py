@@ -10,7 +10,7 @@ from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
 MAX_CHANGE_POINTS = 140
-"""Number of change points that are tried over all stations of a network."""
+"""Largest number of candidate change points over all stations of a network."""
 N_NEIGHBOUR_GAPS = 6
 """Number of gaps between pointings on either side of a change point to which a refinement moves it."""
 
@@ -30,7 +30,7 @@ def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[f
 
 
 def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Pairs (station, time [s]) of the change points within a station's visit that are tried."""
+    """Candidate change points within the visits of stations: pairs (station, time [s])."""
     most = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
     return [
         (name, time)
@@ -106,9 +106,10 @@ class Drift(Effect):
     amplitude_parameter: ClassVar[Parameter]
     """Parameter of the exponential law: correction at the start."""
     linear_laws: ClassVar[tuple[TimeLaw, ...]]
-    """Linear laws that are tried at all stations together: the first one, and with several stations the others."""
+    """Laws of a drift, linear in their size, at all stations together: the first law, and with several stations all
+    laws."""
     tries_single_stations: ClassVar[bool] = False
-    """True if the law of a visit is also tried at single stations."""
+    """True if the law within a visit is also a candidate at single stations."""
 
     def __post_init__(self) -> None:
         chosen = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter

@@ -2,8 +2,8 @@
 
 `Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
 `name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
-changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a card: a physical cause with a
-name.
+changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a catalogue entry: a physical
+cause with a name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
@@ -150,7 +150,7 @@ class Signature(Protocol):
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         return self.design(sightings) @ values
 
-    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at parameter values (p,) [SI], with its derivatives."""
         return Linearisation(self.reading_change(sightings, values), self.design(sightings))
 
@@ -188,7 +188,7 @@ class CandidateEffect(Signature, Protocol):
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
     n_neighbour_directions: ClassVar[int] = 1
-    """Number of independent directions in which `finer` varies the constants."""
+    """Number of independent directions in which `neighbours` varies the constants."""
 
     @property
     @abstractmethod
@@ -281,7 +281,7 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
 
 def n_constants(effect: CandidateEffect) -> int:
     """Number of constants of an effect: its parameters, and the constants of its shape and place."""
-    constants = (value for name, value in vars(effect).items() if name != "coarse")
+    constants = (value for name, value in vars(effect).items() if name != "size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 

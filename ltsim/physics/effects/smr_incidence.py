@@ -16,7 +16,7 @@ MAX_INCIDENCE = 30.0 * DEGREE
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
 KNOT_ANGLES = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
-"""Angles (4,) [rad] at which the slope of the error may change: those of the table from normal incidence outwards."""
+"""Angles (4,) [rad] of incidence at which the slope of the error may change, as in the paper's table."""
 EVEN_SLOPE_SIGMA = 1.5 * MICROMETRE
 """Prior standard deviation [m] of a change of slope in the even part of the error, as its contribution to the error at
 the next knot. At the edge the even part has a standard deviation of 8.2 um; in the paper's table it is 7.7 um."""

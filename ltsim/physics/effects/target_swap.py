@@ -19,7 +19,7 @@ class TargetSwap(Blunder):
     Like: two outliers, equal and opposite.
     Separate by: nothing is needed; the length of the miss is the distance of the two.
     Valid: the parameter is 1 where it happened and 0 elsewhere; nothing in between means anything. A mistake of this
-    size is mended before an adjustment, so `candidates` is empty and `possible` lists the pairs.
+    size is corrected before an adjustment, so `candidates` is empty and `possible_blunders` lists the pairs.
     Source: general knowledge of networks.
     Status: validated against a recording with two names exchanged.
     """

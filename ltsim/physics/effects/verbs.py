@@ -39,18 +39,19 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     Parameters
     ----------
     name : str
-        As `lt.catalogue()` lists it.
+        Name of the effect in `lt.catalogue()`.
     stations, targets : str or sequence of str
-        Where it acts; all where neither is given.
+        Names of the stations and targets where the effect acts; default all.
     **constants
-        In the units that the catalogue shows, such as ``law="visit"``; parameters too where the effect is simulated or
-        injected, such as ``index_drift=60``. What is not given, the readings or the draws choose; where an effect is
-        fitted they also choose what is given as it is by default, which a text holds: ``"index-drift:law=linear"``.
+        Constants of the effect in the units of the catalogue, such as ``law="visit"``, and parameters if it is
+        simulated or injected, such as ``index_drift=60``. Constants that are not given are determined by the readings,
+        or drawn. In a fit the readings also determine constants that are given with their default value; the text form
+        fixes them: ``"index-drift:law=linear"``.
 
     Returns
     -------
     ltsim.physics.effects.effect.Effect
-        Of its own class; with the sizes that are given, where any are.
+        Instance of the class of the effect; with sizes (`SizedEffect`) if parameters are given.
 
     Raises
     ------
@@ -179,7 +180,7 @@ def catalogue(*names: str) -> EffectList:
     Parameters
     ----------
     *names : str
-        Default all.
+        Names of effects; default all.
 
     Raises
     ------
@@ -204,12 +205,12 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     """Registration of a user-defined effect for this session; also a decorator of its class.
 
     Afterwards its name is valid in scenarios, in `with_effects`, in campaigns (including their worker processes) and in
-    a diagnosis. A card is optional. For other sessions the class must be in a package.
+    a diagnosis. A catalogue entry is optional. For other sessions the class must be in a package.
 
     Parameters
     ----------
     effect_class : type of Effect
-        With a name, a stage, parameters and `design`.
+        Effect class with a name, a stage, parameters and `design`.
 
     Raises
     ------

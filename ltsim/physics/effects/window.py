@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
 SEQUENCE_FRACTIONS = (0.25, 0.12)
-"""Lengths of the sequences of targets that are tried, as fractions of a station's targets."""
+"""Lengths of candidate sequences of targets, as fractions of a station's targets."""
 PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a pane in the refinement."""
 

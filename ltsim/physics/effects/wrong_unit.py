@@ -18,14 +18,14 @@ UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_ERRORS}
 class WrongUnit(Blunder):
     """Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
 
-    The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the slips
-    are those of `recording.slips`.
+    The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the errors
+    are those of `recordings.transcription_errors`.
 
     Size: metres.
     Like: nothing; the pose fit misses by metres.
     Separate by: nothing is needed.
     Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
-    so `candidates` is empty and `possible` lists the mistakes. Weather in a wrong unit is station-weather.
+    so `candidates` is empty and `possible_blunders` lists the mistakes. Weather in a wrong unit is station-weather.
     Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
     Status: validated on the readings: what the mend gives back is what was read.
     """
@@ -49,14 +49,14 @@ class WrongUnit(Blunder):
         return UNIT_ERRORS_BY_NAME[self.mistake]
 
     @classmethod
-    def at_station(cls, station: str) -> list[Self]:
+    def blunders_at_station(cls, station: str) -> list[Self]:
         """Blunders of every unit and convention at one station."""
         return [cls((station,), mistake=name) for name in UNIT_ERRORS_BY_NAME]
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every unit and convention at every station."""
-        return [effect for name in sightings.station_names for effect in cls.at_station(name)]
+        return [effect for name in sightings.station_names for effect in cls.blunders_at_station(name)]
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) in the wrong unit."""

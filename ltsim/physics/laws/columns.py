@@ -161,11 +161,11 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
-    slow = lagged(x, sightings, time_constant)
+    slow = lagged_values(x, sightings, time_constant)
     return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
 
 
-def lagged(x: Floats, sightings: Sightings, memory: float) -> Floats:
+def lagged_values(x: Floats, sightings: Sightings, memory: float) -> Floats:
     """Values (n,) of a quantity (n,) after a first-order lag with a time constant [s], at its first value before."""
     rows = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)

@@ -114,24 +114,28 @@ class EmpiricalLaw(CandidateEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
-        moved = self.along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
+        moved = self.change_along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
         design: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
-    def along_direction(self, moved: Floats, sightings: Sightings, rows: Ints | None = None) -> Floats:
+    def change_along_direction(
+        self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
+    ) -> Floats:
         """Change (r, ..., 1) of readings along the law's direction from that by each component (r, ..., c).
 
         The pointings of the readings are `rows` (r,), all in order if None; without a direction nothing is changed.
         """
         if not self.direction:
-            return moved
+            return component_changes
         ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
         if self.is_per_setup:
             at = np.full(len(sightings.station_names), -1)
             at[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
             which = at[sightings.station if rows is None else sightings.station[rows]]
             ratios = np.where(which[:, None] >= 0, ratios[which], 0.0)
-        along: Floats = np.einsum("r...c,rc->r...", moved, np.broadcast_to(ratios, (len(moved), ratios.shape[1])))
+        along: Floats = np.einsum(
+            "r...c,rc->r...", component_changes, np.broadcast_to(ratios, (len(component_changes), ratios.shape[1]))
+        )
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
@@ -227,11 +231,11 @@ class EmpiricalLaw(CandidateEffect):
                     laws.append(self._with_factor(steps, made))
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
-    def _with_factor(self, old: Regressor, new: Regressor) -> EmpiricalLaw:
+    def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
         """Copy of the law with its regressor, or a factor of it, replaced."""
-        if self.regressor == old:
-            return replace(self, regressor=new)
-        factors = tuple(new if factor == old else factor for factor in self.regressor.factors)
+        if self.regressor == old_factor:
+            return replace(self, regressor=new_factor)
+        factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
         return replace(self, regressor=replace(self.regressor, factors=factors))
 
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:
@@ -305,15 +309,15 @@ class EmpiricalLaw(CandidateEffect):
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
-    def in_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
+    def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with an amount of its own after each of several steps."""
-        return replace(self, regressor=self._gated(piecewise_regressor(steps)), scale_index=0)
+        return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), scale_index=0)
 
     def with_switch(self, edges: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a switch as its regressor, or as the first factor of it."""
-        return replace(self, regressor=self._gated(switch_regressor(edges)), scale_index=0)
+        return replace(self, regressor=self._regressor_with_gate(switch_regressor(edges)), scale_index=0)
 
-    def _gated(self, gate: Regressor) -> Regressor:
+    def _regressor_with_gate(self, gate: Regressor) -> Regressor:
         """Regressor with a gate in place of the factor that it replaces; that of a region is multiplied by it."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate))
@@ -346,7 +350,7 @@ class EmpiricalLaw(CandidateEffect):
             return None
         return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_SETUPS else None
 
-    def at_largest_effect(
+    def law_at_largest_effect(
         self, mean: Floats, covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
         """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance.

@@ -20,7 +20,7 @@ from ltsim.physics.laws.columns import (
     group_means,
     has_natural_zero,
     indicator_columns,
-    lagged,
+    lagged_values,
     linear_field_columns,
     scaled_to_unit_rms,
     smooth_curve_columns,
@@ -83,28 +83,29 @@ class Regressor:
     Attributes
     ----------
     kind : str
-        constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
-        product, pieces (the sum of steps and ramps of one covariate), switch (on and off at steps of one covariate, one
-        after the other), lagging (what follows a covariate by and by),
-        amounts (another one for each station, instrument, target, or one that was measured before), field (the same
-        for all that is carried, growing across the room, and bent), passage (the length of the line of sight in a
-        region of the hall, or with the function `lever` each part of it times its share of the line beyond), near (1 at
-        the middle of a region, less the farther the target is from it), state (what pointings add up, forget and
-        release, `laws.states`), latch (set above `constant`, released below `latch_release`).
+        Kind of the function: `constant`; `smooth` (eigenfunctions of a covariate); `wave` (cosine and sine of
+        `constant` times a covariate); `cycle` (a wave of any shape); `simple` (a short formula); `product`; `pieces`
+        (sum of steps and ramps of one covariate); `switch` (alternately on and off at steps of one covariate);
+        `lagging` (a covariate after a first-order lag); `amounts` (separate values for each station, instrument, target
+        or previous target); `field` (displacement of all reflectors: common, linear across the hall, and curved);
+        `passage` (length of the line of sight in a region of the hall; with the function `lever` each part is weighted
+        by the fraction of the line beyond it); `near` (1 at the centre of a region, decreasing with the distance of the
+        target); `state` (a quantity that pointings accumulate, that decays and is reset, see `laws.states`); `latch`
+        (set above `constant`, released below `latch_release`).
     covariates : tuple of str
     function : str
-        Of a simple driver.
+        Name of the function of a `simple` regressor.
     constant : float
-        Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field; the number of amounts;
-        the time [s] of a lag, also of a switch; 0 for a switch at once.
+        Constant of a `simple` regressor or a wave; number of eigenfunctions of a smooth one; order of a field; number
+        of amounts; time [s] of a lag, also of a switch (0 for none).
     factors : tuple of Regressor
-        Of a product; the pieces.
-    around : tuple of str
-        Targets about whose middle a field grows, or that have amounts of their own; empty for all.
-    region : Region, optional
-        Of a passage, or of what is near.
-    released : float
-        Of a latch: the threshold below which it is released.
+        Factors of a product, or the pieces.
+    centre_targets : tuple of str
+        Targets whose centre is the origin of a field, or that have separate amounts; empty for all.
+    region : HallRegion, optional
+        Region of a `passage` or `near` regressor.
+    latch_release : float
+        Threshold below which a latch is released.
     """
 
     kind: str
@@ -171,7 +172,7 @@ class Regressor:
             case "switch":
                 edges = [factor.constant for factor in self.factors]
                 on = np.searchsorted(edges, sightings.quantities[name]) % 2
-                values = lagged(on.astype(np.float64), sightings, self.constant) if self.constant else on
+                values = lagged_values(on.astype(np.float64), sightings, self.constant) if self.constant else on
                 return scaled_to_unit_rms(values.astype(np.float64)[:, None])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])

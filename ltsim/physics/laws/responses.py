@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import SlotTerm
@@ -37,20 +37,21 @@ class Response:
     Attributes
     ----------
     name : str
-        In the words of the interface and of sentences.
-    unit : str
-    size : float
+        Name of the response in files and sentences.
+    display_unit : str |
+    plausible_size : float
         Plausible size [SI].
     observables : tuple of str
-        What it mainly shows in; empty for all.
+        Observables that mainly change; empty for all.
     kind : str
-        reading, instrument, circle, stand, target, air or reflector.
-    ways : tuple of str
-        Its components in words; one of no name where it has no direction.
-    scales : tuple of float
+        Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air` or
+        `reflector`.
+    component_names : tuple of str
+        Names of the components; one empty name for a response without direction.
+    component_scales : tuple of float
         Change [SI] of each component per unit of its coefficient; empty for ones.
-    units : tuple of str
-        Units of the components; empty where all have that of the response.
+    component_units : tuple of str
+        Units of the components; empty if all have the unit of the response.
     """
 
     name: str
@@ -135,7 +136,9 @@ _RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance"
 
 def constants_of_slot(slot: str) -> tuple[str, ...]:
     """Constants of the ordinary calibration that act on a slot of the chain."""
-    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot))
+    return tuple(
+        p.name for e in BASELINE_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
+    )
 
 
 VARIED_CONSTANTS = (
@@ -186,7 +189,7 @@ def _vertex_design(sightings: Sightings) -> Floats:
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
-def _towards_instrument(sightings: Sightings) -> Floats:
+def _displacement_towards_instrument(sightings: Sightings) -> Floats:
     """Change of the readings per unit of a horizontal motion of the reflectors towards the instrument."""
     way = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = way * [1.0, 1.0, 0.0]
@@ -212,7 +215,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
         (_AIR_GRADIENT, AirGradient().design),
         (_TARGET_HEIGHT, _nest_normal_design),
         (_REFLECTOR_VERTEX, _vertex_design),
-        (_LEVEL, _towards_instrument),
+        (_LEVEL, _displacement_towards_instrument),
     ]
     return {response.name: (response, derivative) for response, derivative in derivatives}
 

@@ -26,7 +26,7 @@ def displayed_sizes(
     For a motion in space all components are given, at the set-up with the largest motion. The coefficients have a
     `coefficients` (k,) and a `covariance` (k, k) [SI].
     """
-    law, way, means, spread = law.at_largest_effect(coefficients, covariance, sightings)
+    law, way, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
     if law.regressor.kind == "constant":
         name = "" if law.response.component_units else law.response.name

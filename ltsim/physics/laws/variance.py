@@ -125,14 +125,14 @@ class VarianceFunction(NoiseSignature):
             share = path / max(float(path.max(initial=0.0)), 1e-12)
             pattern = pattern * np.where(share > MIN_RELATIVE_PATH, share, 0.0)
         if self.covariate_band:
-            pattern = pattern * self.in_band(sightings)
+            pattern = pattern * self.is_in_band(sightings)
         for name in self.covariates if self.region is None and not self.covariate_band else ():
             x = noise_covariate(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.decreases else x) ** 2
         return self._variance_plus_fraction(sigma, values[0] * pattern)
 
-    def in_band(self, sightings: Sightings) -> Bools:
+    def is_in_band(self, sightings: Sightings) -> Bools:
         """Pointings (n,) within the band of the covariate."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)

@@ -15,7 +15,7 @@ from ltsim.geometry.kinematics.dh import DH_CHAIN
 from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
 from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR_CHAIN
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
@@ -125,7 +125,7 @@ class Construction:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
         return point_of_readings(self.kinematic_chain, raw, self.slot_errors(raw, values))
 
-    def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
 
         The derivative with respect to the readings neglects that the bases depend on them (relative 1e-5, the size of
@@ -170,7 +170,7 @@ class Construction:
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Results of `readings` and of `reading_design` at the same points, computed together."""
         raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
-        reached, by_reading, by_value = self.linearised(raw, values)
+        reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
         raw[:, 1] = wrap_angle(raw[:, 1])
@@ -178,12 +178,12 @@ class Construction:
 
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings with respect to the local point (n, 3, 3) and to the parameters (n, 3, p)."""
-        _, by_reading, by_value = self.linearised(raw, values)
+        _, by_reading, by_value = self.linearise(raw, values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
+def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> Construction:
     """Geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
     chosen = tuple(effects)
     return Construction(

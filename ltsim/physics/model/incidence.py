@@ -21,7 +21,8 @@ from ltsim.recordings.reflectors import smr_names
 from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
-ERROR_LAW = SmrIncidence()
+INCIDENCE_EFFECT = SmrIncidence()
+"""Effect that gives the range error over the angle of incidence."""
 MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
 """Smallest standard deviation of an error in a bench test: a tenth of the resolution of interferometers."""
 
@@ -37,7 +38,7 @@ class IncidenceErrors(Signature):
     mean_parameters: Floats
     """Expected parameters (p,) [SI] of `smr-incidence`."""
     covariance_root: Floats
-    """Change (p, k) [SI] of these parameters by one standard deviation of each error."""
+    """Change (p, k) [SI] of the incidence parameters by one standard deviation of each independent error."""
 
     @property
     def name(self) -> str:
@@ -58,7 +59,10 @@ class IncidenceErrors(Signature):
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
         """Range error (n, p) per unit of each parameter of `smr-incidence`."""
-        return ERROR_LAW.error_derivatives(*ERROR_LAW.incidence_angles(sightings)) * self.reflector_weights[:, None]
+        return (
+            INCIDENCE_EFFECT.error_derivatives(*INCIDENCE_EFFECT.incidence_angles(sightings))
+            * self.reflector_weights[:, None]
+        )
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each error."""
@@ -84,7 +88,7 @@ def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapp
     `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the name of the reflector; others have no error.
     """
     names = np.array(smr_names(recording))
-    by_law = ERROR_LAW.design(sightings)
+    by_law = INCIDENCE_EFFECT.design(sightings)
     change = np.zeros((len(recording), 3))
     for name, values in reflectors.items():
         change += np.where((names == name)[:, None], by_law @ values, 0.0)
@@ -106,7 +110,7 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
 
 def incidence_prior_from_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
     """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
-    mean, root = np.zeros(len(ERROR_LAW.parameters)), np.diag(ERROR_LAW.size_scales)
+    mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.size_scales)
     if test is None:
         return mean, root
     angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))

@@ -38,7 +38,7 @@ class NetworkState:
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
     """Parameters of the additional effects, (q,)."""
 
-    def incremented(
+    def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
     ) -> Self:
         """State after increments; `pose_increments` (S, 6) is translation and rotation vector in the network frame."""
@@ -283,7 +283,7 @@ class MeasurementModel:
         whole = np.pad(extra, (0, sum(sizes) - len(extra)))
         return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
-    def linearised(self, state: NetworkState) -> Prediction:
+    def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
@@ -297,7 +297,7 @@ class MeasurementModel:
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.extra_effects:
             extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
-            parts = [effect.linearised(sightings, values) for effect, values in extra]
+            parts = [effect.linearise(sightings, values) for effect, values in extra]
             raw = raw + np.sum([part.shift for part in parts], axis=0)
             by_extra = np.concatenate([part.by_values for part in parts], axis=2)
             for further in (part.by_geometry for part in parts if part.by_geometry is not None):

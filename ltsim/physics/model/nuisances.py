@@ -53,7 +53,9 @@ class HeadHeights(Signature):
 
 
 def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHeights, ...]:
-    """Height errors of a recording that declares their standard deviation; `plumb_directions` (S, 3) at its stations.
+    """Height errors of the heads of a recording that declares their standard deviation.
+
+    `plumb_directions` (S, 3) at its stations.
 
     Cells of the columns `instrument_setup` and `target_setup` name the occupations; an empty cell has none.
     """
@@ -144,7 +146,7 @@ class Refraction(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficient of refraction less its mean, with its prior standard deviation."""
+        """Parameter of the refraction: the coefficient minus its mean, with its prior standard deviation."""
         return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:

@@ -199,7 +199,7 @@ class TargetSigmas:
     height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
-        """Standard deviation [m, rad] of one value, from the options of its line or the declaration of the target."""
+        """Standard deviation [m, rad] of one value, from the options of its line or the target's declaration."""
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
         declared = options.number(option, options.number("OBSE", getattr(self, kind)))
         sigma = declared * CENTESIMAL_SECOND

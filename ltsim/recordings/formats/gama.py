@@ -64,7 +64,7 @@ SigmaAndSharedErrors = tuple[float, dict[str, float]]
 by name [mm, cc].
 """
 CORRELATIONS_NOTE = "correlations between observed coordinates of different points are left out"
-BETWEEN_POINTS_NOTE = "correlations between height differences, or between vectors, are left out"
+OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are left out"
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 
@@ -146,7 +146,7 @@ def _read_part(node: XmlNode, network: GamaNetwork) -> None:
     elif node.tag in ("height-differences", "vectors"):
         differences, correlated = read_differences(node, network.y_sign, network.apriori)
         network.differences += differences
-        network.notes += [BETWEEN_POINTS_NOTE] * correlated
+        network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
     else:
         network.skipped[node.tag] += 1
 

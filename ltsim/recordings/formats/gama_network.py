@@ -127,14 +127,14 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
     """Differences with a number where several join the same points, such as a line that was levelled twice."""
     before: Counter[str] = Counter()
     for difference in differences:
-        number = before[difference.called]
-        before[difference.called] += 1
-        yield difference.model_copy(update={"name": numbered_name(difference.called, number)}) if number else difference
+        number = before[difference.label]
+        before[difference.label] += 1
+        yield difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
 
 
 MAX_CORRELATED_OBSERVATIONS = 500
 """Largest number of correlated observations in a file: each shared error is an unknown of the adjustment."""
-MAX_ZERO_EIGENVALUE = 1e-6
+MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
 """Eigenvalue of a correlation matrix that counts as zero, and relative difference up to which two count as equal."""
 
 
@@ -230,9 +230,9 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before
     for first in np.unique(np.argmax(linked, axis=1)).tolist():
         if len(group := np.flatnonzero(linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
-            if values[0] < MAX_ZERO_EIGENVALUE:
+            if values[0] < MAX_ZERO_CORRELATION_EIGENVALUE:
                 raise block.location.error("a <cov-mat> that is not positive definite")
-            more = values > values[0] * (1.0 + MAX_ZERO_EIGENVALUE)
+            more = values > values[0] * (1.0 + MAX_ZERO_CORRELATION_EIGENVALUE)
             factors = np.zeros((len(sigma), int(more.sum())))
             factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
             reach.append(factors)

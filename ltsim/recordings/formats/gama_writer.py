@@ -17,7 +17,8 @@ from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target, Vector, symmetric_matrix
 
-ALL_AXES = "http://www.gnu.org/software/gama/gama-local"
+GAMA_XML_NAMESPACE = "http://www.gnu.org/software/gama/gama-local"
+"""XML namespace of an input file of gama-local."""
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -39,7 +40,7 @@ def write(recording: Recording, path: Path) -> None:
             raise RecordError(f"{message}; set levelled = true in setup.toml if it is levelled", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<gama-local xmlns="{ALL_AXES}">',
+        f'<gama-local xmlns="{GAMA_XML_NAMESPACE}">',
         '<network axes-xy="en" angles="right-handed">',
         f"<description>{escape(recording.setup.title)}</description>",
         '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',
@@ -111,7 +112,7 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 def _first_cloud(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] of the targets that the first set-up measured completely, in its frame."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
-    rows = np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1))
+    rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in rows}
 
 
@@ -161,5 +162,5 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
             numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
-            message = f"the difference {difference.called} is given along {difference.known_axes}, expected z or xyz"
+            message = f"the difference {difference.label} is given along {difference.known_axes}, expected z or xyz"
             raise RecordError(f"{message}: gama-local has only these", file=path)

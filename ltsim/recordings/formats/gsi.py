@@ -23,8 +23,9 @@ from ltsim.recordings.recording import Recording
 
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 _PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
-LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
-ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+"""Factors to m by the last character of the information field."""
+GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
 """Factors to rad by the last character of the information field; unit 4 is degrees, minutes and seconds."""
 
 
@@ -36,7 +37,7 @@ class _GsiLine:
     where: SourceLocation
 
     @classmethod
-    def of(cls, line: str, where: SourceLocation) -> _GsiLine:
+    def from_line(cls, line: str, where: SourceLocation) -> _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
@@ -68,9 +69,9 @@ class _GsiLine:
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
-        if unit not in LENGTH_FACTORS:
+        if unit not in GSI_LENGTH_FACTORS:
             raise self.where.error(f"unit '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8")
-        return self._number(key) * LENGTH_FACTORS[unit]
+        return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
     def angle(self, key: str) -> float:
         """Angle [rad] from gon, decimal degrees, degrees-minutes-seconds or mils (6400 per circle)."""
@@ -81,9 +82,9 @@ class _GsiLine:
             degrees, rest = divmod(abs(value), 1e5)
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
-        if unit not in ANGLE_FACTORS and not np.isnan(value):
+        if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
             raise self.where.error(f"unit '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
-        return value * ANGLE_FACTORS.get(unit, NOT_MEASURED)
+        return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -105,7 +106,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     before = _GsiLine({}, SourceLocation(path))
     for i, line in enumerate(lines):
         if line.strip():
-            block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
+            block = _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
                 raise block.where.error("the last line has no line break and is incomplete")
             _process_block(block, file)

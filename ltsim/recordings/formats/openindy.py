@@ -24,12 +24,13 @@ from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 ROOT_ELEMENT = "oiProjectData"
-READING_TYPE = {
+READINGS_BY_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
     "direction": ("azimuth", "zenith"),
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
+"""Readings of each type of observation that is read."""
 SIGMA_ATTRIBUTES = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
 
 
@@ -72,21 +73,21 @@ def _pointing(
         raise node.location.error("an observation without its station")
     reading, reference = inner["reading"], inner["station"].required_attribute("ref")
     kind = reading.get("type")
-    if node.get("isValid") == "0" or kind not in READING_TYPE:
+    if node.get("isValid") == "0" or kind not in READINGS_BY_TYPE:
         notes[
             f"readings of the type {quoted_text(kind)} left out"
-            if kind not in READING_TYPE
+            if kind not in READINGS_BY_TYPE
             else "invalid readings left out"
         ] += 1
         return None
     if reference not in stations:
         raise node.location.error(f"a reading refers to station {quoted_text(reference)}, which does not exist")
     measured = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
-    missing = [name for name in READING_TYPE[kind] if name not in measured]
+    missing = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
     if missing:
         raise node.location.error(f"a {kind} reading lacks its {missing[0]}")
     distance, azimuth, elevation = _polar_reading(
-        {name: measured[name].number("value", limit=1e6) for name in READING_TYPE[kind]}
+        {name: measured[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
     )
     if distance <= 0:
         raise node.location.error(f"found a distance of {distance:g}, expected one above 0")
@@ -117,8 +118,8 @@ def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
     return values.get("distance", NOT_MEASURED), values.get("azimuth", NOT_MEASURED) % (2 * np.pi), elevation
 
 
-def _sigmas(measured: dict[str, XmlNode]) -> dict[str, float]:
-    sigmas = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in measured}
+def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
+    sigmas = {name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in nodes}
     unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
     return {SIGMA_ATTRIBUTES[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
 

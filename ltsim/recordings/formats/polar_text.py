@@ -70,7 +70,7 @@ def write(recording: Recording, path: Path) -> None:
 
     Raises RecordError for a recording with incomplete pointings, which this format cannot hold.
     """
-    missing = np.flatnonzero(~np.all(recording.measured, axis=1))
+    missing = np.flatnonzero(~np.all(recording.is_measured, axis=1))
     if len(missing):
         message = "a reading is missing here; polar text holds complete pointings only"
         raise RecordError(message, row=int(missing[0]) + 1)

@@ -22,8 +22,10 @@ from ltsim.recordings.recording import Recording
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
 FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
 """Widths in characters of a name and of a number, by dialect."""
-ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
-LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
+SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
+"""Factors to rad by the code of the angle unit in the header record."""
+SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
+"""Factors to m by the code of the length unit in the header record."""
 UNITS_COLUMN = slice(40, 45)
 """Column of the units in the header record."""
 VERTICAL_ZERO_COLUMN = 50
@@ -42,17 +44,20 @@ class _Dialect:
     north_first: bool
 
     @classmethod
-    def of(cls, header: str, where: SourceLocation) -> "_Dialect":
+    def from_header(cls, header: str, where: SourceLocation) -> "_Dialect":
         match = _HEADER_PATTERN.match(header)
         if match is None:
             raise where.error(
                 f"'{quoted_text(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
             )
         units = header[UNITS_COLUMN].ljust(5, "1")
-        for digit, units_of, what in ((units[0], ANGLE_FACTORS, "angles"), (units[1], LENGTH_FACTORS, "distances")):
+        for digit, units_of, what in (
+            (units[0], SDR_ANGLE_FACTORS, "angles"),
+            (units[1], SDR_LENGTH_FACTORS, "distances"),
+        ):
             if digit not in units_of:
                 raise where.error(f"unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}")
-        return cls(*FIELD_WIDTHS[match[1]], ANGLE_FACTORS[units[0]], LENGTH_FACTORS[units[1]], units[4] != "2")
+        return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
 
     def fields(self, line: str, names: int, numbers: int) -> tuple[list[str], list[str]]:
         """The first names and numbers of a record, as text."""
@@ -77,7 +82,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     book = FieldBook(path)
     lines = read_lines(path, liberal=True)
-    dialect = _Dialect.of(lines[0], SourceLocation(path, 1))
+    dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
     height, from_horizon, skipped = NOT_MEASURED, False, 0
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]

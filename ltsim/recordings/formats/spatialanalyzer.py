@@ -32,7 +32,8 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
 MAX_SAME_POINT_DISTANCE = 2e-3
-READING_COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
+SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
+"""Roles of the columns of a block, as in the option --columns."""
 PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that a block must have, with their permitted units."""
 RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
@@ -84,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     remarks, off = [NO_NOISE_NOTE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
     if off:
         remarks.append(f"{off} observations are switched off in the report and not used")
-    hints = replace(hints, columns=READING_COLUMNS, date=hints.date or "dmy")
+    hints = replace(hints, columns=SPATIALANALYZER_COLUMN_MAP, date=hints.date or "dmy")
     table = read_pointing_table(
         [
             _sheet_of_block(*block_parts, path)

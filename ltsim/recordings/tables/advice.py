@@ -10,11 +10,12 @@ from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import ANGLE_MARKS, COORDINATE_ROLES
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.transcription_errors import FULL_CIRCLE_RADIANS, MIN_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
+"""Largest number of rows in which the roles of columns are searched."""
 MAX_TRIED_ASSIGNMENTS = 20
-"""Largest number of assignments of columns that are tried on the whole sheet, most likely first."""
+"""Largest number of assignments of columns that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
 """Number of cells, from the first rows of a table, that the suggestions are based on."""
 MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
@@ -138,7 +139,7 @@ def _possible_conventions(
     largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[other[0]]))
     if _is_sexagesimal(first, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
-    elif largest < FULL_CIRCLE_RADIANS:
+    elif largest < MAX_CIRCLE_RADIANS:
         units = ("rad",)
     else:
         units = ("deg", "gon") if largest <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)

@@ -18,7 +18,8 @@ FACE_WORDS = {
     **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
 }
 ValueType = TypeVar("ValueType")
-DAY_LENGTH = timedelta(days=1)
+DAY = timedelta(days=1)
+"""Time span of a day."""
 MAX_VALUE_LENGTH = 60
 """Largest number of characters of a cell that is tested as a number or an angle."""
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
@@ -286,8 +287,8 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     """Times without a date as increasing time differences: a decrease by more than half a day is midnight."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
-        if last - clock > DAY_LENGTH / 2:
-            days += DAY_LENGTH
+        if last - clock > DAY / 2:
+            days += DAY
         last = clock
         unwrapped.append(clock + days)
     return unwrapped

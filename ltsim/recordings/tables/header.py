@@ -277,7 +277,7 @@ def _column_from_title(place: int, title: str, *, faced: bool = True) -> TableCo
     return TableColumn(place, title, role, unit, face)
 
 
-def mapped_columns(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn] | None:
+def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:
     """Columns of a header by ``role=Header[unit],...``; None if a named title is missing.
 
     A title that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Other roles follow
@@ -287,7 +287,7 @@ def mapped_columns(fields: Sequence[str], wanted: str, file: object) -> list[Tab
     """
     columns = header_columns(fields)
     assigned: dict[int, TableColumn] = {}
-    for role, face, title, unit in parse_assignments(wanted, file):
+    for role, face, title, unit in parse_assignments(assignments, file):
         place, *parts = _title_positions(fields, title) or (None,)
         if place is None:
             return None
@@ -298,10 +298,10 @@ def mapped_columns(fields: Sequence[str], wanted: str, file: object) -> list[Tab
     return [assigned.get(c.position, c) for c in rest]
 
 
-def parse_assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
+def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, int, str, str]]:
     """Role, face (0: any), title and unit ('': not given) of every ``role=Header[unit]``."""
     roles = []
-    for part in filter(None, (p.strip() for p in wanted.split(","))):
+    for part in filter(None, (p.strip() for p in assignments.split(","))):
         role, equals, title = part.partition("=")
         stem, face = role.strip().lower(), 0
         if stem[-1:] in ("1", "2"):

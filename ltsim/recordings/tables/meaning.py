@@ -157,11 +157,11 @@ def _angle_conventions(
 
 
 def _length_convention(
-    declared: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
+    declared_unit: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
 ) -> tuple[str, list[str]]:
     """Unit of the distances, with notes: declared, or from heights in the table, their size, or a hint."""
-    if declared or not np.isfinite(polar.distance).any():
-        return declared or hints.length or "mm", []
+    if declared_unit or not np.isfinite(polar.distance).any():
+        return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_MM:
         return length_meaning(polar.distance, hints)

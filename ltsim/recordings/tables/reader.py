@@ -31,7 +31,7 @@ from ltsim.recordings.tables.setups import (
     split_occupations,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, WORKBOOK_SUFFIXES, head_rows, is_table_folder, read_sheets
+from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
@@ -96,7 +96,8 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
 
 
 SETUP_FILE = "setup.toml"
-MAX_LISTED_ROWS = 3
+MAX_ROWS_IN_NOTE = 3
+"""Largest number of rows that a note lists."""
 HEAD_HEIGHT_SIGMA_MM = 1.0
 """Standard deviation [mm] of the height of a head on one tripod or pillar each time it is set up."""
 
@@ -105,7 +106,7 @@ def recognises(path: Path, head: str) -> bool:
     """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
-    if head.startswith(WORKBOOK_SUFFIXES.decode("latin-1")):
+    if head.startswith(ZIP_SIGNATURE.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
@@ -291,8 +292,8 @@ def _unread_lines_note(table: PointingTable) -> list[str]:
         alone = "the table names no station, so that one station S1 is assumed for its pointings"
         notes.append(f"{alone} (--hint station=NAME)")
     if table.unread:
-        examples = "; ".join(table.unread[:MAX_LISTED_ROWS])
-        more = len(table.unread) - MAX_LISTED_ROWS
+        examples = "; ".join(table.unread[:MAX_ROWS_IN_NOTE])
+        more = len(table.unread) - MAX_ROWS_IN_NOTE
         notes.append(f"free text is not used: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 

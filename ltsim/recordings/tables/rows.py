@@ -11,7 +11,7 @@ from sys import intern
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import HEADERS
+from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
@@ -78,7 +78,7 @@ class RunReader:
         self.cell_units: dict[str, str] = {}
 
     def read(self, run: HeaderRun) -> PrintedPointings:
-        """Pointings of rows, each with the station of its block if its row names none.
+        """Pointings of rows; a row that names no station has the station of its block.
 
         Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
         """
@@ -86,13 +86,13 @@ class RunReader:
         padded = [fields if len(fields) == width else _pad_cells(fields, width) for fields in run.fields]
         table = list(zip(*padded, strict=True))
         if self.faces == (0,):
-            return self._of_face(0, run, table)
-        both = join_pointings([self._of_face(face, run, table) for face in self.faces])
+            return self._pointings_of_face(0, run, table)
+        both = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
         angles = both.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
         return both.take(by_row[angles[by_row]].tolist())
 
-    def _of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
+    def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
         """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.position] for c in reversed(columns) if c.role}
@@ -283,9 +283,9 @@ class _SheetReader:
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
-        if self.headers > HEADERS:
+        if self.headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {HEADERS} headers, the limit for reading"
+                f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
         if columns != self.columns:
             self._convert_rows()

@@ -17,7 +17,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings.files import MAX_NAME_LENGTH, quoted_text
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
@@ -34,8 +34,10 @@ MAX_SAME_ANGLE = 0.02
 """Tolerance [deg or gon] between directions to the same position."""
 MAX_SAME_ANGLE_RAD = MAX_SAME_PLACE_RATIO
 """Tolerance [rad] between directions to the same position."""
-RADIAN_UNITS = 7.0
+MAX_ANGLE_IN_RADIANS = 7.0
+"""Largest angle at which a column of angles is in radians; larger values are degrees or gon."""
 MIN_ROWS_FOR_POSITIONS = 3
+"""Smallest number of rows, and of different positions, of one name that is a moving target."""
 
 
 def name_targets_by_position(table: PointingTable, file: object) -> PointingTable:
@@ -88,12 +90,14 @@ def _position_numbers(table: PointingTable) -> Ints:
 
 def _position_tolerance(role: str, largest: float, lengths: float) -> float:
     if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if largest > RADIAN_UNITS else MAX_SAME_ANGLE_RAD
+        return MAX_SAME_ANGLE if largest > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
     return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
-MAX_LISTED_NAMES = 4
+MAX_NAMES_IN_SETUP_NOTE = 4
+"""Largest number of names that a note on set-ups lists."""
 MIN_CLOSED_LINES = 4
+"""Smallest number of lines measured in both directions for a test of the heights over marks."""
 MAX_CLOSURE_RATIO = 0.5
 """Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
 are not applied.
@@ -101,7 +105,8 @@ are not applied.
 MIN_CIRCLE_ROTATION = 1e-3
 """Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
 MIN_ROTATION_SIGMAS = 6.0
-"""Smallest difference in standard deviations of the directions, if given, that counts as a rotated circle."""
+"""Smallest difference of directions, in their standard deviations (if given), that counts as a rotation of the circle.
+"""
 MAX_CLOSURE_M = 0.02
 """Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
 decimetres.
@@ -136,7 +141,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
         for name in spellings[1:]
     }
     if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_LISTED_NAMES)
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
         notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
@@ -144,7 +149,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
 
 def _without_station_name(station: str, target: str) -> str:
     """Name of a target without the name of its set-up; empty if it does not contain it."""
-    if len(target) > MAX_NAME_LENGTH:  # which is refused later
+    if len(target) > MAX_RECORDING_NAME_LENGTH:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
     return (match[1] or match[2]) if match else ""
@@ -313,7 +318,7 @@ def _mark_and_target(table: PointingTable) -> Iterator[tuple[str, str]]:
 
 
 def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
-    """Occupations of marks that each pointing connects: those of one day, in one role.
+    """Occupations of marks that a pointing connects, for a table without a column of occupations.
 
     They apply to a table without a column of occupations.
     """

@@ -17,22 +17,23 @@ from typing import Any, NamedTuple, overload
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import (
-    CELLS,
-    FIELDS,
-    FILE_BYTES,
-    LINE_CHARACTERS,
-    LINES,
+    MAX_FILE_BYTES,
+    MAX_LINE_CHARACTERS,
+    MAX_ROW_FIELDS,
+    MAX_TABLE_CELLS,
+    MAX_TEXT_LINES,
+    MAX_WORKBOOK_BYTES,
+    MAX_WORKBOOK_PARTS,
+    MAX_WORKBOOK_SHEETS,
     MIB,
-    SHEETS,
-    WORKBOOK_BYTES,
-    WORKBOOK_PARTS,
 )
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
 from ltsim.recordings.tables.cells import is_value, thousands_separator
 from ltsim.recordings.xml import check_xml_part
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
-WORKBOOK_SUFFIXES = b"PK\x03\x04"
+ZIP_SIGNATURE = b"PK\x03\x04"
+"""First bytes of a workbook, which is a zip archive."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
 N_SAMPLE_LINES = 400
 """Number of lines that decide on the separator."""
@@ -176,16 +177,16 @@ def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     for i, line in enumerate(lines):
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not says_separator:
-            if len(line) >= FIELDS:
+            if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
             held.append((i + 1, line))
     return TextRows(held, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
-    """Check of the number of columns in a row; raises RecordError for more than `FIELDS`."""
-    if len(fields) > FIELDS:
-        raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {FIELDS}")
+    """Check of the number of columns in a row; raises RecordError for more than `MAX_ROW_FIELDS`."""
+    if len(fields) > MAX_ROW_FIELDS:
+        raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
 
 def head_rows(head: str) -> list[SheetRow]:
@@ -312,10 +313,10 @@ def _check_workbook_parts(file: Path, packed: io.BytesIO) -> None:
     """Check of the unpacked size and of the XML depth of a workbook; raises RecordError."""
     with zipfile.ZipFile(packed) as archive:
         parts = archive.infolist()
-        if len(parts) > WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {WORKBOOK_PARTS} parts, the limit for reading", file=file)
-        if sum(part.file_size for part in parts) > WORKBOOK_BYTES:
-            most = f"{WORKBOOK_BYTES // MIB} MiB"
+        if len(parts) > MAX_WORKBOOK_PARTS:
+            raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
+        if sum(part.file_size for part in parts) > MAX_WORKBOOK_BYTES:
+            most = f"{MAX_WORKBOOK_BYTES // MIB} MiB"
             raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
         for part in parts:
             content = archive.read(part)
@@ -326,8 +327,8 @@ def _check_workbook_parts(file: Path, packed: io.BytesIO) -> None:
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Rows of all sheets of an open workbook, counted together because several sheets may refer to the same part."""
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
-    if len(sheets) > SHEETS:
-        raise RecordError(f"holds more than {SHEETS} sheets, the limit for reading", file=file)
+    if len(sheets) > MAX_WORKBOOK_SHEETS:
+        raise RecordError(f"holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
     rows = cells = characters = 0
     contents = []
     for sheet in sheets:
@@ -336,14 +337,16 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
         for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
             where = f"up to row {number} of sheet {quoted_text(sheet.title)}"
             rows, cells = rows + 1, cells + len(values)
-            if rows > LINES or cells > CELLS:
-                what = f"holds more than {LINES} rows or {CELLS} cells {where}, the limit for reading"
+            if rows > MAX_TEXT_LINES or cells > MAX_TABLE_CELLS:
+                what = (
+                    f"holds more than {MAX_TEXT_LINES} rows or {MAX_TABLE_CELLS} cells {where}, the limit for reading"
+                )
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
             texts = _cell_texts(values)
             size = sum(map(len, texts))
             characters += size
-            if size > LINE_CHARACTERS or characters > FILE_BYTES:
-                most = f"{LINE_CHARACTERS} characters in a row or {FILE_BYTES // MIB} million in all"
+            if size > MAX_LINE_CHARACTERS or characters > MAX_FILE_BYTES:
+                most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // MIB} million in all"
                 raise RecordError(f"holds more than {most} {where}, the limit for reading", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))

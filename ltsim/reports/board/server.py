@@ -27,19 +27,20 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ltsim.core.errors import LtsimError, SetupError
-from ltsim.reports.board.board import Board
+from ltsim.reports.board.board import MovableLayout
 from ltsim.reports.document import CONTENT_SECURITY_POLICY
 
-HERE = "127.0.0.1"
-MAX_BYTES = 1 << 20
+LOOPBACK_ADDRESS = "127.0.0.1"
+"""Address of this machine, which other machines cannot reach."""
+MAX_BODY_BYTES = 1 << 20
 """Largest size of the body of a request [byte]."""
 MAX_CONNECTIONS = 32
 """Largest number of simultaneous connections; a browser opens six."""
 REQUEST_TIMEOUT_S = 10.0
 """Largest time [s] for the complete arrival of a request."""
-POLL_INTERVAL = 0.2
+POLL_INTERVAL_S = 0.2
 """Time [s] between two checks for Ctrl-C."""
-HEADERS = {
+RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -47,7 +48,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 """HTTP headers of every answer: no caching, no referrer, no display in frames of other pages."""
-Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+FiniteTriple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
 class StationPlace(BaseModel):
@@ -56,84 +57,85 @@ class StationPlace(BaseModel):
     model_config = ConfigDict(strict=True)
 
     name: str
-    mm: Triple
+    mm: FiniteTriple
     yaw: FiniteFloat
 
 
-class Question(BaseModel):
+class LayoutRequest(BaseModel):
     """Body of a request."""
 
     model_config = ConfigDict(strict=True)
 
     stations: list[StationPlace] = Field(max_length=1000)
-    camera: Annotated[list[Triple], Field(min_length=3, max_length=3)] | None = None
+    camera: Annotated[list[FiniteTriple], Field(min_length=3, max_length=3)] | None = None
 
 
-class Answer(NamedTuple):
+class HttpResponse(NamedTuple):
     """Response to a request."""
 
     status: HTTPStatus
-    kind: str = "text/plain"
+    media_type: str = "text/plain"
     """Media type of the content."""
     content: bytes = b""
 
 
-MISSING = Answer(HTTPStatus.NOT_FOUND)
+MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
+"""Response to a path without the token, or with an unknown name."""
 
 
-class BoardAccess:
+class PlannerRequests:
     """Requests that the page may send; every path begins with the token."""
 
-    def __init__(self, board: Board, folder: Path) -> None:
-        self.board, self.folder = board, folder
+    def __init__(self, layout: MovableLayout, folder: Path) -> None:
+        self.layout, self.folder = layout, folder
         self.token = secrets.token_urlsafe(18)
-        self._asked: dict[str, Callable[[list[dict[str, Any]], Question], Any]] = {
-            "judged": lambda stations, _: board.judged(stations),
-            "verdict": lambda stations, _: board.verdict(stations),
-            "scene": lambda stations, question: board.scene(stations, question.camera),
-            "save": lambda stations, _: [str(file) for file in board.save(stations, folder)],
+        self._handlers: dict[str, Callable[[list[dict[str, Any]], LayoutRequest], Any]] = {
+            "judged": lambda stations, _: layout.evaluation(stations),
+            "verdict": lambda stations, _: layout.verdict(stations),
+            "scene": lambda stations, question: layout.scene_page_with(stations, question.camera),
+            "save": lambda stations, _: [str(file) for file in layout.save(stations, folder)],
         }
 
-    def page(self) -> str:
+    def page_html(self) -> str:
         """HTML of the page, with the hall."""
-        hall = json.dumps(self.board.hall() | {"folder": str(self.folder)}).replace("<", "\\u003c")
+        hall = json.dumps(self.layout.hall_json() | {"folder": str(self.folder)}).replace("<", "\\u003c")
         text = (files("ltsim.reports.board") / "page.html").read_text(encoding="utf-8")
         policy = CONTENT_SECURITY_POLICY.replace("connect-src", "connect-src 'self'")
         palette = (files("ltsim.reports") / "templates" / "palette.css").read_text(encoding="utf-8")
         return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
 
-    def knows(self, path: str) -> bool:
+    def has_token(self, path: str) -> bool:
         """True if a path begins with the token."""
         return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
 
-    def answer(self, method: str, path: str, body: bytes) -> Answer:
+    def respond(self, method: str, path: str, body: bytes) -> HttpResponse:
         """Answer to a request; status 404 without the token."""
         name = path.removeprefix("/").partition("/")[2]
-        if not self.knows(path) or (name and name not in self._asked):
-            return MISSING
+        if not self.has_token(path) or (name and name not in self._handlers):
+            return MISSING_PAGE_RESPONSE
         if method != ("POST" if name else "GET"):
-            return Answer(HTTPStatus.METHOD_NOT_ALLOWED)
+            return HttpResponse(HTTPStatus.METHOD_NOT_ALLOWED)
         if not name:
-            return Answer(HTTPStatus.OK, "text/html", self.page().encode())
+            return HttpResponse(HTTPStatus.OK, "text/html", self.page_html().encode())
         status = HTTPStatus.OK
         try:
-            question = Question.model_validate_json(body)
-            content = self._asked[name]([station.model_dump() for station in question.stations], question)
+            question = LayoutRequest.model_validate_json(body)
+            content = self._handlers[name]([station.model_dump() for station in question.stations], question)
         except ValidationError as problem:
             first = problem.errors(include_url=False, include_input=False)[0]
             status = HTTPStatus.BAD_REQUEST
             content = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
         except (LtsimError, OSError) as problem:
             content = {"problem": str(problem)}
-        return Answer(status, "application/json", json.dumps(content).encode())
+        return HttpResponse(status, "application/json", json.dumps(content).encode())
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _RequestHandler(BaseHTTPRequestHandler):
     """Handler that checks a request, passes it to the serving thread, and sends its answer."""
 
-    work: SimpleQueue[tuple[Future[Answer], str, str, bytes]]
-    access: BoardAccess
-    hosts: frozenset[str]
+    work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
+    requests: PlannerRequests
+    allowed_hosts: frozenset[str]
     """Allowed values of Host, and of Origin after http://."""
     timeout = REQUEST_TIMEOUT_S
     server_version, sys_version = "ltsim", ""
@@ -156,67 +158,69 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page."""
-        self._send(self._refused() or self._worked(b""))
+        self._send_response(self._refusal() or self._response_of_serving_thread(b""))
 
     def do_POST(self) -> None:
         """Answer a request of the page."""
-        refused = self._refused()
-        body = b"" if refused else self._body()
-        self._send(refused or (body if isinstance(body, Answer) else self._worked(body)))
+        refused = self._refusal()
+        body = b"" if refused else self._read_body()
+        self._send_response(
+            refused or (body if isinstance(body, HttpResponse) else self._response_of_serving_thread(body))
+        )
 
-    def _refused(self) -> Answer | None:
+    def _refusal(self) -> HttpResponse | None:
         """Refusal of a request that does not come from the page; None for one that does."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
-        if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
-            return Answer(HTTPStatus.MISDIRECTED_REQUEST)
-        if any(origin.lower().removeprefix("http://") not in self.hosts for origin in origins):
-            return Answer(HTTPStatus.FORBIDDEN)
-        return None if self.access.knows(self.path) else MISSING
+        if len(hosts) != 1 or hosts[0].lower() not in self.allowed_hosts:
+            return HttpResponse(HTTPStatus.MISDIRECTED_REQUEST)
+        if any(origin.lower().removeprefix("http://") not in self.allowed_hosts for origin in origins):
+            return HttpResponse(HTTPStatus.FORBIDDEN)
+        return None if self.requests.has_token(self.path) else MISSING_PAGE_RESPONSE
 
-    def _body(self) -> bytes | Answer:
+    def _read_body(self) -> bytes | HttpResponse:
         """Body of a request, or the answer to an invalid length or a timeout."""
         lengths = self.headers.get_all("Content-Length", [])
         if "Transfer-Encoding" in self.headers or len(lengths) != 1:
-            return Answer(HTTPStatus.LENGTH_REQUIRED)
+            return HttpResponse(HTTPStatus.LENGTH_REQUIRED)
         if not (lengths[0].isascii() and lengths[0].isdigit()):
-            return Answer(HTTPStatus.BAD_REQUEST)
-        if len(lengths[0]) > len(str(MAX_BYTES)) or int(lengths[0]) > MAX_BYTES:
-            return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return HttpResponse(HTTPStatus.BAD_REQUEST)
+        if len(lengths[0]) > len(str(MAX_BODY_BYTES)) or int(lengths[0]) > MAX_BODY_BYTES:
+            return HttpResponse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         body = self.rfile.read(int(lengths[0]))
-        return body if len(body) == int(lengths[0]) else Answer(HTTPStatus.REQUEST_TIMEOUT)
+        return body if len(body) == int(lengths[0]) else HttpResponse(HTTPStatus.REQUEST_TIMEOUT)
 
-    def _worked(self, body: bytes) -> Answer:
-        future: Future[Answer] = Future()
-        self.work.put((future, self.command, self.path, body))
+    def _response_of_serving_thread(self, body: bytes) -> HttpResponse:
+        future: Future[HttpResponse] = Future()
+        self.work_queue.put((future, self.command, self.path, body))
         return future.result()
 
-    def _send(self, answer: Answer) -> None:
-        self.send_response(answer.status)
-        self.send_header("Content-Type", f"{answer.kind}; charset=utf-8")
-        self.send_header("Content-Length", str(len(answer.content)))
-        for name, value in HEADERS.items():
+    def _send_response(self, response: HttpResponse) -> None:
+        self.send_response(response.status)
+        self.send_header("Content-Type", f"{response.media_type}; charset=utf-8")
+        self.send_header("Content-Length", str(len(response.content)))
+        for name, value in RESPONSE_HEADERS.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(answer.content)
+        self.wfile.write(response.content)
 
     def log_message(self, *_: Any) -> None:
         """Suppress the log of requests."""
 
 
-class _Server(ThreadingHTTPServer):
+class _LimitedServer(ThreadingHTTPServer):
     """Server with a limited number of connections, which ignores broken ones."""
 
     daemon_threads = True
     request_queue_size = 2 * MAX_CONNECTIONS
     """Length of the queue of waiting connections."""
 
-    def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
-        self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
+    def __init__(self, address: tuple[str, int], handler: type[_RequestHandler]) -> None:
+        self._free_connections = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(address, handler)
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         """Start the thread of a connection."""
-        if self._free.acquire(blocking=False):
+        if self._free_connections.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
@@ -226,42 +230,42 @@ class _Server(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            self._free_connections.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignore a closed or silent connection."""
 
 
-def serve(access: BoardAccess, announce: Callable[[str], None], port: int = 0) -> None:
-    """Serve the page until Ctrl-C; `announce` is called with the address; raises SetupError if the port is in use."""
-    work: SimpleQueue[tuple[Future[Answer], str, str, bytes]] = SimpleQueue()
-    handler: type[_Handler] = type("Handler", (_Handler,), {"work": work, "access": access})
+def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], None], port: int = 0) -> None:
+    """Serve the page until Ctrl-C, after a call of `announce_address`; raises SetupError if the port is in use."""
+    work: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]] = SimpleQueue()
+    handler: type[_RequestHandler] = type("Handler", (_RequestHandler,), {"work_queue": work, "requests": requests})
     try:
-        server = _Server((HERE, port), handler)
+        server = _LimitedServer((LOOPBACK_ADDRESS, port), handler)
     except OSError as problem:
         raise SetupError(f"--port {port} cannot be used ({problem.strerror}); omit it to use any free port") from None
     ports = (f":{server.server_port}", *([""] if server.server_port == HTTP_PORT else []))
-    handler.hosts = frozenset(name + behind for name in (HERE, "localhost") for behind in ports)
+    handler.allowed_hosts = frozenset(name + behind for name in (LOOPBACK_ADDRESS, "localhost") for behind in ports)
     with server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            announce(f"http://{HERE}:{server.server_port}/{access.token}/")
+            announce_address(f"http://{LOOPBACK_ADDRESS}:{server.server_port}/{requests.token}/")
             while True:
                 try:
-                    future, method, path, body = work.get(timeout=POLL_INTERVAL)
+                    future, method, path, body = work.get(timeout=POLL_INTERVAL_S)
                 except Empty:
                     continue
-                future.set_result(_answered(access, method, path, body))
+                future.set_result(_respond_or_report(requests, method, path, body))
         except KeyboardInterrupt:
             pass
         finally:
             server.shutdown()
 
 
-def _answered(access: BoardAccess, method: str, path: str, body: bytes) -> Answer:
+def _respond_or_report(requests: PlannerRequests, method: str, path: str, body: bytes) -> HttpResponse:
     try:
-        return access.answer(method, path, body)
+        return requests.respond(method, path, body)
     except Exception as problem:  # internal error: shown by the page, the server continues
         words = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
         content = json.dumps({"problem": words}).encode()
-        return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)
+        return HttpResponse(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)

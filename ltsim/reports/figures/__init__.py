@@ -10,19 +10,21 @@ if TYPE_CHECKING:
     from ltsim.reports.figures import (
         campaign as campaign,
         floor_plan as floor_plan,
+        marked_floor_plans as marked_floor_plans,
         parameters as parameters,
         points as points,
         residuals as residuals,
     )
 
-MODULES = ("campaign", "floor_plan", "parameters", "points", "residuals")
+FIGURE_MODULES = ("campaign", "floor_plan", "marked_floor_plans", "parameters", "points", "residuals")
+"""Names of the modules of figures."""
 
 
-def _load(name: str) -> Any:
-    if name in MODULES:
+def _import_figure_module(name: str) -> Any:
+    if name in FIGURE_MODULES:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
 if not TYPE_CHECKING:
-    __getattr__ = _load
+    __getattr__ = _import_figure_module

@@ -20,15 +20,19 @@ from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.notation import number_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING
 from ltsim.reports import style
-from ltsim.reports.words import typeset
+from ltsim.reports.words import typographic_text
 
-MAX_PANELS = 12
-MAX_LINES = 8
-LETTERS = 26
+MAX_FIGURE_PANELS = 12
+"""Largest number of panels of a figure."""
+MAX_PANEL_LINES = 8
+"""Largest number of lines of a panel."""
+LABEL_WIDTH_PER_PANEL_ROW = 26
 """Width of a label per row of panels [characters]."""
-NINETY = "90 % of trials"
-FLOOR = "noise floor"
-PAPER = MappingProxyType(
+CENTRAL_90_PERCENT_LABEL = "90 % of trials"
+"""Label of the band between the 5 % and 95 % quantiles of the trials."""
+NOISE_FLOOR_LABEL = "noise floor"
+"""Label of the error that remains with the true parameters."""
+PUBLISHED_CRITERIA = MappingProxyType(
     {
         "paper-workshop": {
             "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
@@ -51,39 +55,39 @@ PAPER = MappingProxyType(
 class SweepPoint:
     """Mean of a statistic at one level, with its 95 % interval and the central 90 % of the trials.
 
-    `x` is the level, a number or a text; `line` and `panel` are labels.
+    `level` is the level, a number or a text; `line` and `panel` are labels.
     """
 
-    x: float | str
+    level: float | str
     line: str
     panel: str
     mean: float
     low: float
     high: float
-    p05: float
-    p95: float
+    quantile_05: float
+    quantile_95: float
 
 
-def title(factor: Factor) -> str:
+def factor_axis_title(factor: Factor) -> str:
     """Title of the axis of a factor: `angle noise [arcsec]`."""
     plain = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
-    unit = typeset(factor.unit)
+    unit = typographic_text(factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
-def short(factor: Factor, level: Any) -> str:
+def factor_level_text(factor: Factor, level: Any) -> str:
     """Text of a factor with its level: `angle noise 0.2 arcsec`."""
     if factor.name == "title":
         return str(level)
-    name, _, unit = title(factor).partition(" [")
+    name, _, unit = factor_axis_title(factor).partition(" [")
     value = factor.level_text(level).removesuffix(f" {factor.unit}") if factor.unit else factor.level_text(level)
     return f"{name} {value} {unit.rstrip(']')}".rstrip()
 
 
-def swept(
+def sweep_points(
     results: CampaignResults, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
 ) -> list[SweepPoint]:
-    """Points of a statistic of a campaign for `by_factor` or `by_setting`: one per cell and method.
+    """Points of a statistic of a campaign for `factor_panels_figure` or `setting_rows_figure`: one per cell and method.
 
     Parameters
     ----------
@@ -115,10 +119,10 @@ def swept(
         here = results.levels[s.cell] | {"method": s.method}
         if any(here[name] != wanted for name, wanted in levels.items()):
             continue
-        texts = {name: short(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
+        texts = {name: factor_level_text(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
         level = here[names[0]] if len(names) == 1 else None
         place = ", ".join(texts[name] for name in names) if level is None else level
-        line = s.method if s.column == statistic else FLOOR
+        line = s.method if s.column == statistic else NOISE_FLOOR_LABEL
         rows.append(
             SweepPoint(place, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
         )
@@ -130,20 +134,20 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     if not along:
         names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
-    axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
+    axis = factor_axis_title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
-    label = f"{words} [{typeset(unit)}]" if unit else words
-    rows = swept(results, statistic, along, panel=panel, **levels)
-    if len({(row.x, row.line, row.panel) for row in rows}) < len(rows):
+    label = f"{words} [{typographic_text(unit)}]" if unit else words
+    rows = sweep_points(results, statistic, along, panel=panel, **levels)
+    if len({(row.level, row.line, row.panel) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
         raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
-    return by_factor(rows, label=label, axis=axis)
+    return factor_panels_figure(rows, label=label, axis=axis)
 
 
-@style.styled
-def by_factor(
-    rows: Sequence[SweepPoint], *, label: str, axis: str, published: float | None = None, joined: bool = True
+@style.with_figure_style
+def factor_panels_figure(
+    rows: Sequence[SweepPoint], *, label: str, axis: str, published: float | None = None, joins_points: bool = True
 ) -> Figure:
     """Panels with common axes: means with 95 % intervals; the central 90 % of the trials shaded.
 
@@ -156,55 +160,57 @@ def by_factor(
         The factor along the lines, with its unit.
     published : float, optional
         A published value to compare with.
-    joined : bool
-        True to join the points of a line. If False, each panel has its own factor, named by the panel.
+    joins_points : bool
+        True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
-    panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_PANELS]
+    panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_FIGURE_PANELS]
     across = min(len(panels), 2)
     down = -(-len(panels) // across)
     figure = style.new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
-    axes = figure.subplots(down, across, sharex=joined, sharey=True, squeeze=False)
-    words = list(dict.fromkeys(row.x for row in rows if isinstance(row.x, str)))
-    names = list(dict.fromkeys(row.line for row in rows))[:MAX_LINES]
+    axes = figure.subplots(down, across, sharex=joins_points, sharey=True, squeeze=False)
+    words = list(dict.fromkeys(row.level for row in rows if isinstance(row.level, str)))
+    names = list(dict.fromkeys(row.line for row in rows))[:MAX_PANEL_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
             points = [row for row in rows if (row.panel, row.line) == (panel, name)]
-            _line(ax, points, _places(points, words, (k + 0.5) / len(names)), k, joined=joined)
+            _draw_line(ax, points, _axis_positions(points, words, (k + 0.5) / len(names)), k, joined=joins_points)
         if published is not None:
-            ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
-        if joined:
-            ax.set_title(style.shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
+            ax.axhline(published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        if joins_points:
+            ax.set_title(style.shortened_name(panel, 44 if across < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
-        _axis(ax, [row.x for row in rows if row.panel == panel], words, joined=joined)
-        style.quiet_axis(ax)
+        _set_axis_ticks(ax, [row.level for row in rows if row.panel == panel], words, joined=joins_points)
+        style.set_grid(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
     for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
-    figure.supylabel(textwrap.fill(label, LETTERS * down), fontsize=8.5)
-    style.legend_of(figure, axes.flat[: len(panels)], ncols=2)
+    figure.supylabel(textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * down), fontsize=8.5)
+    style.add_legend(figure, axes.flat[: len(panels)], n_columns=2)
     return figure
 
 
-def _places(rows: Sequence[SweepPoint], words: Sequence[str], share: float) -> Floats:
+def _axis_positions(rows: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
     """Positions of points on the axis; with text levels the lines are shifted against each other."""
-    place = [words.index(row.x) if isinstance(row.x, str) else row.x for row in rows]
-    return np.array(place, dtype=np.float64) + (0.3 * (share - 0.5) if words else 0.0)
+    place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in rows]
+    return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
 
-def _line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, k: int, *, joined: bool) -> None:
+def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, k: int, *, joined: bool) -> None:
     if not rows:
         return
     order = np.argsort(place, kind="stable")
     x, mean = place[order], np.array([rows[i].mean for i in order])
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
-    colour = style.CYCLE[k % len(style.CYCLE)]
-    p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("p05", "p95"))
+    colour = style.COLOUR_CYCLE[k % len(style.COLOUR_CYCLE)]
+    p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     trials = bool(np.any(p05 < p95))
-    if joined and not isinstance(rows[0].x, str) and trials:
-        ax.fill_between(x, p05, p95, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
+    if joined and not isinstance(rows[0].level, str) and trials:
+        ax.fill_between(
+            x, p05, p95, color=colour, alpha=0.12, linewidth=0, label=CENTRAL_90_PERCENT_LABEL if k == 0 else None
+        )
     words = "mean, 95 % interval" if trials else "95 % interval"  # a share has no trials
     label = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
@@ -213,10 +219,10 @@ def _line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, k: int, *, joined
     )  # fmt: skip
 
 
-def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
+def _set_axis_ticks(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
     """Set ticks at the levels, and a logarithmic axis if they span about a decade."""
     if words:
-        ax.set_xticks(range(len(words)), [style.shorten(word, 18) for word in words])
+        ax.set_xticks(range(len(words)), [style.shortened_name(word, 18) for word in words])
         ax.set_xlim(-0.5, len(words) - 0.5)
         return
     levels = sorted({float(x) for x in places if not isinstance(x, str)})
@@ -236,38 +242,39 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
     ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
 
 
-MAX_SETTINGS = 40
+MAX_SETTING_ROWS = 40
+"""Largest number of rows of settings of a figure."""
 
 
-@style.styled
-def by_setting(rows: Sequence[SweepPoint], *, label: str, published: float | None = None) -> Figure:
+@style.with_figure_style
+def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published: float | None = None) -> Figure:
     """Figure with a row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
     rows : sequence of SweepPoint
-        `x` is the setting, `line` the method.
+        `level` is the setting, `line` the method.
     label : str
         The statistic with its unit.
     published : float, optional
         A published value to compare with.
     """
-    settings = list(dict.fromkeys(str(row.x) for row in rows))[:MAX_SETTINGS]
+    settings = list(dict.fromkeys(str(row.level) for row in rows))[:MAX_SETTING_ROWS]
     methods = list(dict.fromkeys(row.line for row in rows))
-    figure, ax = style.panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
-    places = dict(zip(settings, style.category_rows(ax, settings), strict=True))
+    figure, ax = style.new_panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
+    places = dict(zip(settings, style.set_category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
-        mine = [row for row in rows if row.line == method and str(row.x) in places]
-        y = np.array([places[str(row.x)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
-        colour = style.CYCLE[m % len(style.CYCLE)]
+        mine = [row for row in rows if row.line == method and str(row.level) in places]
+        y = np.array([places[str(row.level)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
+        colour = style.COLOUR_CYCLE[m % len(style.COLOUR_CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
-        ax.hlines(y, [r.p05 for r in mine], [r.p95 for r in mine], color=colour, lw=0.9, label=ninety)
+        ax.hlines(y, [r.quantile_05 for r in mine], [r.quantile_95 for r in mine], color=colour, lw=0.9, label=ninety)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published is not None:
-        ax.axvline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        ax.axvline(published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     ax.set_xlabel(label)
-    style.legend_of(figure, [ax], ncols=2)
+    style.add_legend(figure, [ax], n_columns=2)
     return figure
 
 
@@ -281,22 +288,22 @@ class TrialDistribution:
     published: float | None = None
 
 
-@style.styled
-def distributions(rows: Sequence[TrialDistribution]) -> Figure:
+@style.with_figure_style
+def distributions_figure(rows: Sequence[TrialDistribution]) -> Figure:
     """Histograms, two per row: mean with 95 % interval, central 90 % of the trials, published value."""
     across = min(2, max(len(rows), 1))
     lines = -(-len(rows) // across)
     figure = style.new_figure(0.4 + 1.7 * lines)
     axes = figure.subplots(lines, across, squeeze=False)
     for ax, row in zip(axes.flat, rows, strict=False):
-        _panel(ax, row)
+        _draw_distribution(ax, row)
     for ax in axes.flat[len(rows) :]:
         ax.set_axis_off()
-    style.legend_of(figure, axes.flat)
+    style.add_legend(figure, axes.flat)
     return figure
 
 
-def _panel(ax: Axes, row: TrialDistribution) -> None:
+def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
     values = row.values[np.isfinite(row.values)]
     low, high = np.percentile(values, [0.25, 99.75])
     if row.published is not None:
@@ -307,31 +314,35 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
     ax.set_xlim(low - margin, high + margin)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-    style.quiet_axis(ax, grid="none")
+    style.set_grid(ax, grid_axis="none")
     top = 1.05 * float(height.max())
     ax.set_ylim(0, 1.28 * top)
     mean, half = float(values.mean()), NORMAL_QUANTILE_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
-    ax.hlines(1.07 * top, *np.percentile(values, [5, 95]), color=style.INK, linewidth=1.0, label="90 % of trials")
-    ax.hlines(1.07 * top, mean - half, mean + half, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
-    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER)
-    ax.set_title(style.shorten(row.name, 40), fontsize=8)
+    ax.hlines(
+        1.07 * top, *np.percentile(values, [5, 95]), color=style.INK_COLOUR, linewidth=1.0, label="90 % of trials"
+    )
+    ax.hlines(
+        1.07 * top, mean - half, mean + half, color=style.COLOUR_AFTER, linewidth=5.0, label="mean, 95 % interval"
+    )
+    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.COLOUR_AFTER)
+    ax.set_title(style.shortened_name(row.name, 40), fontsize=8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
-        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        ax.axvline(row.published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
-            typeset(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
+            typographic_text(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip
 
 
-ALLOWED = (0.935, 0.965)
+ALLOWED_COVERAGE = (0.935, 0.965)
 """Allowed band of the coverage of 95 % intervals."""
 
 
-def interval(row: ZScoreSummary) -> tuple[float, float]:
+def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
     n, z2 = row.trials, NORMAL_QUANTILE_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
@@ -339,27 +350,27 @@ def interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(centre - half), float(centre + half)
 
 
-def uncovered(rows: Sequence[ZScoreSummary]) -> list[bool]:
+def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:
     """True for parameters whose whole coverage interval lies outside the allowed band; they are drawn red."""
-    return [high < ALLOWED[0] or low > ALLOWED[1] for low, high in map(interval, rows)]
+    return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, rows)]
 
 
-@style.styled
-def coverage(rows: Sequence[ZScoreSummary]) -> Figure:
+@style.with_figure_style
+def coverage_figure(rows: Sequence[ZScoreSummary]) -> Figure:
     """Coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
-    figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
-    places = style.category_rows(ax, [row.parameter for row in rows])
-    share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    band = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
-    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=band)
-    ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(uncovered(rows), dtype=bool)
+    figure, ax = style.new_panel(0.9 + 0.2 * max(len(rows), 3))
+    places = style.set_category_rows(ax, [row.parameter for row in rows])
+    share, bounds = np.array([row.coverage_95 for row in rows]), np.array([coverage_interval(row) for row in rows])
+    band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
+    ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
+    ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
+    red = np.array(is_outside_allowed_coverage(rows), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
     ax.set_xlabel("coverage of the 95 % intervals")
-    ax.set_xlim(min(bounds.min(), ALLOWED[0]) - 0.01, min(max(bounds.max(), ALLOWED[1]) + 0.01, 1.0))
-    style.legend_of(figure, [ax], ncols=2)
+    ax.set_xlim(min(bounds.min(), ALLOWED_COVERAGE[0]) - 0.01, min(max(bounds.max(), ALLOWED_COVERAGE[1]) + 0.01, 1.0))
+    style.add_legend(figure, [ax], n_columns=2)
     return figure

@@ -1,4 +1,4 @@
-"""Factors of a campaign in its pictures: which vary, which lie along the lines and panels, and the drawn statistics."""
+"""Factors of a campaign in its figures: the varying ones, their roles (axis, lines, panels), the figures."""
 
 from __future__ import annotations
 
@@ -10,35 +10,43 @@ from typing import TYPE_CHECKING, Any
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.statistics import StatisticSummary
-from ltsim.reports.figures.campaign import MAX_LINES, MAX_PANELS, SweepPoint, by_factor, by_setting, short, title
+from ltsim.reports.figures.campaign import (
+    MAX_FIGURE_PANELS,
+    MAX_PANEL_LINES,
+    SweepPoint,
+    factor_axis_title,
+    factor_level_text,
+    factor_panels_figure,
+    setting_rows_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def varied(results: CampaignResults) -> list[Factor]:
+def varying_factors(results: CampaignResults) -> list[Factor]:
     """Factors that vary, without those that change together with an earlier one."""
     independent: list[Factor] = []
     for factor in results.factors:
-        values = level_column(results, factor)
+        values = levels_of_cells(results, factor)
         if len(set(values)) > 1 and not any(
-            _is_bijection(values, level_column(results, other)) for other in independent
+            _is_bijection(values, levels_of_cells(results, other)) for other in independent
         ):
             independent.append(factor)
     return independent
 
 
-def cell_words(results: CampaignResults) -> dict[int, str]:
+def cell_descriptions(results: CampaignResults) -> dict[int, str]:
     """Short description of each cell, by its number."""
-    factors = varied(results)
-    texts = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
+    factors = varying_factors(results)
+    texts = [", ".join(factor_level_text(f, level[f.name]) for f in factors) for level in results.levels]
     plain = "as the scenario" if len(texts) == 1 else ""
     return {
         entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, texts, strict=True)
     }
 
 
-def level_column(results: CampaignResults, factor: Factor) -> list[Any]:
+def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
     """Level of a factor in each cell."""
     return [level[factor.name] for level in results.levels]
 
@@ -49,62 +57,78 @@ def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
     return pairs == len(set(first)) == len(set(second))
 
 
-def drawn(
+def statistic_figures(
     results: CampaignResults, spreads: Sequence[StatisticSummary], label: str, published: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Captions and figures of a statistic.
 
     Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
     """
-    factors, several = varied(results), f"{results.manifest.trials} trials per setting."
+    factors, several = varying_factors(results), f"{results.manifest.trials} trials per setting."
     how: dict[str, Any] = {"label": label, "published": published}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
-    of_grid = cells == len(results.levels) == math.prod(len(set(level_column(results, f))) for f in factors)
+    of_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
-        places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
-        rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
-        figure = partial(by_factor, rows, axis="", joined=False, **how)
+        places = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in spreads]
+        rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in places]
+        figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **how)
         yield f"Each mark is one setting, against each factor. {several}", figure
     elif factors and of_grid and cells > 2:
-        axis, rows = _lines(results, factors, spreads)
+        axis, rows = _factor_lines(results, factors, spreads)
         names = list(dict.fromkeys(row.panel for row in rows))
-        for first in range(0, len(names), MAX_PANELS):
-            shown = names[first : first + MAX_PANELS]
-            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MAX_PANELS else ""
-            yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
+        for first in range(0, len(names), MAX_FIGURE_PANELS):
+            shown = names[first : first + MAX_FIGURE_PANELS]
+            part = (
+                f" Panels {first + 1} to {first + len(shown)} of {len(names)}."
+                if len(names) > MAX_FIGURE_PANELS
+                else ""
+            )
+            yield (
+                several + part,
+                partial(factor_panels_figure, [row for row in rows if row.panel in shown], axis=axis, **how),
+            )
     else:
-        named = cell_words(results)
-        yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
+        named = cell_descriptions(results)
+        yield (
+            several,
+            partial(setting_rows_figure, [_sweep_point(s, named[s.cell], s.method, "") for s in spreads], **how),
+        )
 
 
-def _lines(
+def _factor_lines(
     results: CampaignResults, factors: Sequence[Factor], spreads: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the axis, and points of lines over one factor."""
-    along, across, panels = arranged(results, factors)
+    along, across, panels = factor_arrangement(results, factors)
     rows = []
     for s in spreads:
         level = results.levels[s.cell]
-        line = short(across, level[across.name]) if across else s.method
-        rows.append(_swept(s, _place(along, level), line, ", ".join(short(f, level[f.name]) for f in panels)))
-    return title(along), rows
+        line = factor_level_text(across, level[across.name]) if across else s.method
+        rows.append(
+            _sweep_point(
+                s, _axis_position(along, level), line, ", ".join(factor_level_text(f, level[f.name]) for f in panels)
+            )
+        )
+    return factor_axis_title(along), rows
 
 
-def arranged(results: CampaignResults, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
+def factor_arrangement(
+    results: CampaignResults, factors: Sequence[Factor]
+) -> tuple[Factor, Factor | None, list[Factor]]:
     """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
-    levels = {f.name: len(set(level_column(results, f))) for f in factors}
+    levels = {f.name: len(set(levels_of_cells(results, f))) for f in factors}
     along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
     rest = [f for f in factors if f is not along]
     if len(results.manifest.methods) > 1 or not rest:
         return along, None, rest
-    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MAX_LINES else 0)
+    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
     return along, across, [f for f in rest if f is not across]
 
 
-def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
+def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:
     value = level[factor.name]
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.level_text(value)
 
 
-def _swept(s: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
+def _sweep_point(s: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
     return SweepPoint(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

@@ -7,9 +7,9 @@ from matplotlib.path import Path
 
 from ltsim.core.arrays import Floats
 
-TRIANGLES_OF_PATH = 5_000
+MAX_TRIANGLES_PER_PATH = 5_000
 """Largest number of triangles that are drawn as one path; each path takes half a kilobyte."""
-FEW_TRIANGLES = 2_000
+MAX_VECTOR_TRIANGLES = 2_000
 """Number of triangles of obstacles above which they are rasterised: as vectors each takes 200 bytes of a page."""
 
 
@@ -22,14 +22,14 @@ def draw_obstacles(ax: Axes, triangles: Floats) -> None:
     turns_back = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
     corners = np.where(turns_back[:, None, None], corners[:, ::-1], corners)  # overlaps do not cancel
     closed, codes = corners[:, [0, 1, 2, 0]], [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-    parts = (closed[i : i + TRIANGLES_OF_PATH] for i in range(0, len(closed), TRIANGLES_OF_PATH))
+    parts = (closed[i : i + MAX_TRIANGLES_PER_PATH] for i in range(0, len(closed), MAX_TRIANGLES_PER_PATH))
     ax.add_collection(
         PathCollection(
             [Path(part.reshape(-1, 2), np.tile(codes, len(part))) for part in parts],
             facecolors="#B9A98C",
             edgecolors="#B9A98C",
             linewidths=0.3,
-            rasterized=len(triangles) > FEW_TRIANGLES,
+            rasterized=len(triangles) > MAX_VECTOR_TRIANGLES,
         ),
         autolim=False,
     )

@@ -1,4 +1,4 @@
-"""Figures of parameters and their course, criteria, budgets, and the trade-off of plans."""
+"""Figures of parameters, their course over calibrations, criteria, budgets, and the quality of plans over time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
-from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
+from ltsim.reports.words import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
 
 if TYPE_CHECKING:
     from ltsim.calibration.history import ParameterCourse
@@ -22,55 +22,62 @@ if TYPE_CHECKING:
     from ltsim.planning.result import Plan
 
 
-def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
+def parameter_labels(rows: Sequence[ParameterEntry]) -> list[str]:
     """Names of parameters, with their instrument if there are several."""
     return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in rows]
 
 
-@style.styled
-def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None] = ()) -> Figure:
+@style.with_figure_style
+def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
     """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
-    A parameter without a prior is scaled by its sigma. Hollow marks: hardly determined by the recording. `true` are the
-    values of a simulation, None if not available.
+    A parameter without a prior is scaled by its sigma. Hollow marks: hardly determined by the recording. `true_values`
+    are the values of a simulation, None if not available.
     """
-    figure, ax = style.panel(0.75 + 0.2 * max(len(rows), 3))
-    places = style.category_rows(ax, names_of(rows), size=7.0)
+    figure, ax = style.new_panel(0.75 + 0.2 * max(len(rows), 3))
+    places = style.set_category_rows(ax, parameter_labels(rows), font_size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
     values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
-    ax.axvspan(-1.0, 1.0, color=style.BAND, linewidth=0, zorder=0, label="prior, ± 1 sigma")
+    ax.axvspan(-1.0, 1.0, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="prior, ± 1 sigma")
     ax.axvline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
     ax.hlines(
-        places, values - 1.96 * sigma, values + 1.96 * sigma, color=style.AFTER, linewidth=1.8, label="95 % interval"
+        places,
+        values - 1.96 * sigma,
+        values + 1.96 * sigma,
+        color=style.COLOUR_AFTER,
+        linewidth=1.8,
+        label="95 % interval",
     )
     clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
-    for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
+    for chosen, fill, word in ((clear, style.COLOUR_AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
-            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)
-    given = [i for i, value in enumerate(true) if value is not None]
+            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.COLOUR_AFTER, label=word)
+    given = [i for i, value in enumerate(true_values) if value is not None]
     if given:
-        truth = np.array([true[i] for i in given], dtype=np.float64) / scales[given]
-        ax.plot(truth, places[given], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="true value")
-    style.at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
+        truth = np.array([true_values[i] for i in given], dtype=np.float64) / scales[given]
+        ax.plot(truth, places[given], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value")
+    style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
-    style.legend_of(figure, [ax])
+    style.add_legend(figure, [ax])
     return figure
 
 
-@style.styled
+@style.with_figure_style
 def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
     """Ratio of sigma to prior sigma on a logarithmic axis; sigma at the right.
 
     `reference` has the sigmas of another layout by name.
     """
-    figure, ax = style.panel(0.55 + 0.21 * max(len(rows), 3))
-    places = style.category_rows(ax, [row.name for row in rows])
+    figure, ax = style.new_panel(0.55 + 0.21 * max(len(rows), 3))
+    places = style.set_category_rows(ax, [row.name for row in rows])
     share = np.array([row.sigma / row.prior_sigma for row in rows])
     other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
-    ax.hlines(places, share, other, color=style.BEFORE, linewidth=1.0, zorder=1)
+    ax.hlines(places, share, other, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
     if np.isfinite(other).any():
-        ax.scatter(other, places, s=28, facecolors="white", edgecolors=style.BEFORE, zorder=2, label="reference layout")
-    ax.scatter(share, places, s=28, color=style.AFTER, zorder=3, label="this layout")
+        ax.scatter(
+            other, places, s=28, facecolors="white", edgecolors=style.COLOUR_BEFORE, zorder=2, label="reference layout"
+        )
+    ax.scatter(share, places, s=28, color=style.COLOUR_AFTER, zorder=3, label="this layout")
     ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="no information")
     ax.set_xscale("log")
     low = float(np.nanmin(np.concatenate([share, other])))
@@ -78,45 +85,45 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
+    style.write_at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
-    style.legend_of(figure, [ax])
+    style.add_legend(figure, [ax])
     return figure
 
 
-MOST = 24
-"""Largest number of parameters shown."""
+MAX_CORRELATED_PARAMETERS = 24
+"""Largest number of parameters in a figure of correlations."""
 
 
-@style.styled
+@style.with_figure_style
 def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
     """Correlations of parameters with a covariance (p, p) as colours; coefficients above 0.3 in percent.
 
     Of more than 24 parameters the 24 with the largest correlations are shown, with a note.
     """
-    names, sigma = names_of(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    names, sigma = parameter_labels(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
     strongest = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-strongest, kind="stable")[:MOST])
+    shown = np.sort(np.argsort(-strongest, kind="stable")[:MAX_CORRELATED_PARAMETERS])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
-    figure, ax = style.panel(2.2 + 0.15 * count)
+    figure, ax = style.new_panel(2.2 + 0.15 * count)
     if count < len(names):
         ax.set_title(
             f"the {count} of {len(names)} parameters with the largest correlations", fontsize=7.5, fontweight="normal"
         )
     ax.set_facecolor("#DDE1E4")
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
-    colours = ax.pcolormesh(table, cmap=style.DIVERGING, vmin=-1, vmax=1)
+    colours = ax.pcolormesh(table, cmap=style.DIVERGING_COLOUR_MAP, vmin=-1, vmax=1)
     ax.invert_yaxis()
-    short = [style.shorten(names[i], 26) for i in shown]
+    short = [style.shortened_name(names[i], 26) for i in shown]
     ax.set_xticks(np.arange(count) + 0.5, short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
     ax.set_yticks(np.arange(count) + 0.5, short, fontsize=6.5)
     ax.tick_params(length=0)
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
-        colour = style.ON_DEEP if abs(matrix[i, j]) > 0.6 else style.ON_PALE
+        colour = style.TEXT_COLOUR_ON_DEEP if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_PALE
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
     bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
     bar.set_label("correlation (numbers: %)")
@@ -124,27 +131,34 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     return figure
 
 
-@style.styled
+@style.with_figure_style
 def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> Figure:
     """Course of parameters over calibrations: estimates with 95 % intervals, and mean with spread; one panel each."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
     figure = style.new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    labels = [style.shorten(name, 24) for name in distinct_labels(names)]
+    labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
     place = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)
-        ax.axhspan(*band, color=style.BAND, linewidth=0, zorder=0, label="mean ± spread between calibrations")
+        ax.axhspan(*band, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
         half = 1.96 * np.array(course.sigmas)
         ax.errorbar(
-            place, course.values, half, fmt="o", ms=3.5, color=style.AFTER, lw=1.2, label="estimate, 95 % interval"
+            place,
+            course.values,
+            half,
+            fmt="o",
+            ms=3.5,
+            color=style.COLOUR_AFTER,
+            lw=1.2,
+            label="estimate, 95 % interval",
         )
         ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]", fontsize=8, loc="right")
         ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
         ax.set_xlim(-0.5, len(place) - 0.5)
-        style.quiet_axis(ax)
+        style.set_grid(ax)
     for ax in panels.ravel()[len(courses) :]:
         ax.set_axis_off()
         panels[-2, -1].tick_params(labelbottom=True)
@@ -153,136 +167,151 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
     return figure
 
 
-@style.styled
+@style.with_figure_style
 def criteria_figure(criteria: Table) -> Figure:
-    """Criteria of a table `CRITERIA`, mean and largest, with an arrow from before to after."""
+    """Criteria of a table `CRITERIA_TABLE`, mean and largest, with an arrow from before to after."""
     lines = []
     for row in criteria.json():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
         lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
         lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))
-    figure, ax = style.panel(0.9 + 0.3 * len(lines))
-    places = style.category_rows(ax, [name for name, _, _ in lines])
+    figure, ax = style.new_panel(0.9 + 0.3 * len(lines))
+    places = style.set_category_rows(ax, [name for name, _, _ in lines])
     for place, (_, before, after) in zip(places, lines, strict=True):
         ax.annotate(
-            "", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.0}
+            "", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": style.INK_COLOUR, "lw": 1.0}
         )
-    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.BEFORE, label="before")
-    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.AFTER, label="after")
+    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.COLOUR_BEFORE, label="before")
+    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.COLOUR_AFTER, label="after")
     ax.set_xlim(left=0)
     ax.set_xlabel("deviation between stations [µm]")
-    style.legend_of(figure, [ax])
+    style.add_legend(figure, [ax])
     return figure
 
 
-MAX_SOURCES = 7
+MAX_BUDGET_SOURCES = 7
 """Number of sources with a separate colour; smaller ones are summed."""
 
 
-@style.styled
-def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -> Figure:
+@style.with_figure_style
+def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
     """Shares of the variance of each result by source, the largest sources over all results first.
 
     Parameters
     ----------
     names : sequence of str
         The results.
-    shares : mapping of str to sequence of float
-        Share of each source in every result, 0 to 1.
+    variance_fractions : mapping of str to sequence of float
+        Fraction of the variance by source in every result, 0 to 1.
     """
-    ranked = sorted(shares, key=lambda name: -float(np.sum(shares[name])))
-    largest, rest = ranked[:MAX_SOURCES], ranked[MAX_SOURCES:]
-    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in largest}
+    ranked = sorted(variance_fractions, key=lambda name: -float(np.sum(variance_fractions[name])))
+    largest, rest = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]
+    rows = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
     if rest:
-        rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
-    figure, ax = style.panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
-    places = style.category_rows(ax, list(names))
+        rows["all others"] = np.sum([variance_fractions[name] for name in rest], axis=0)
+    figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
+    places = style.set_category_rows(ax, list(names))
     start = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
-        colour = style.GREY if name == "all others" else style.CYCLE[i % len(style.CYCLE)]
+        colour = style.GREY if name == "all others" else style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)]
         ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
         start += share
     ax.set_xlim(0, 100)
     ax.set_xlabel("part of the variance [%]")
     ax.grid(visible=False, axis="y")
-    style.legend_of(figure, [ax], ncols=2)
+    style.add_legend(figure, [ax], n_columns=2)
     return figure
 
 
-Interval = tuple[float, float, float]
+ValueWithInterval = tuple[float, float, float]
 """Value and limits of its interval."""
 
 
-@style.styled
+@style.with_figure_style
 def values_figure(
-    rows: Mapping[str, Interval], label: str, *, marks: Mapping[str, Sequence[float]] | None = None
+    rows: Mapping[str, ValueWithInterval], label: str, *, reference_values: Mapping[str, Sequence[float]] | None = None
 ) -> Figure:
-    """Values with intervals, one row each; dashed lines at `marks`."""
+    """Values with intervals, one row each; dashed lines at `reference_values`."""
     lines = ["\n".join(wrap(name, 34)) for name in rows]
-    figure, ax = style.panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
-    places = style.category_rows(ax, lines)
+    figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
+    places = style.set_category_rows(ax, lines)
     ax.set_yticks(places, lines)
     value, low, high = np.array(list(rows.values())).T
-    ax.hlines(places, low, high, color=style.AFTER, linewidth=1.8)
-    ax.plot(value, places, "o", ms=4.5, color=style.AFTER)
-    for colour, (word, ends) in zip((style.INK, style.RED, style.GREY), (marks or {}).items(), strict=False):
+    ax.hlines(places, low, high, color=style.COLOUR_AFTER, linewidth=1.8)
+    ax.plot(value, places, "o", ms=4.5, color=style.COLOUR_AFTER)
+    for colour, (word, ends) in zip(
+        (style.INK_COLOUR, style.RED, style.GREY), (reference_values or {}).items(), strict=False
+    ):
         for at in ends:
             ax.axvline(at, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), label=word)
-    figure.supxlabel(typeset(label), fontsize=8.5)
-    style.legend_of(figure, [ax])
+    figure.supxlabel(typographic_text(label), fontsize=8.5)
+    style.add_legend(figure, [ax])
     return figure
 
 
-@style.styled
-def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
+@style.with_figure_style
+def lines_figure(
+    at: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], axis: str, label: str
+) -> Figure:
     """Lines over a quantity `at` (n,), with an interval at every point."""
-    figure, ax = style.panel(2.7)
-    for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
+    figure, ax = style.new_panel(2.7)
+    for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
         half = np.maximum([value - low, high - value], 0.0)
         ax.errorbar(at, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
-    ax.set_xlabel(typeset(axis))
-    ax.set_ylabel(typeset(label))
-    style.quiet_axis(ax, grid="both")
-    style.legend_of(figure, [ax])
+    ax.set_xlabel(typographic_text(axis))
+    ax.set_ylabel(typographic_text(label))
+    style.set_grid(ax, grid_axis="both")
+    style.add_legend(figure, [ax])
     return figure
 
 
-MAX_NAMED = 14
+MAX_NAMED_LAYOUTS = 14
 """Largest number of layouts that are named in a figure."""
-COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
-MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
-SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
-WORD = {"tried": "tried", "best": "best in its time", "chosen": "the plan", "reference": "reference"}
+LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
+"""Colour of a layout in the figure of time and quality, by its role."""
+LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
+"""Marker of a layout, by its role."""
+LAYOUT_MARKER_SIZES = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
+"""Area of the marker of a layout [pt^2], by its role."""
+LAYOUT_LABELS = {"tried": "tried", "best": "best in its time", "chosen": "the plan", "reference": "reference"}
+"""Label of a layout in the legend, by its role."""
 
 
-@style.styled
-def trade_off(plan: Plan, name: str) -> Figure:
+@style.with_figure_style
+def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
     """Time against one quality measure of a plan; the line joins the layouts that are best in their time."""
-    label, factor = QUALITY.get(name, (name, 1.0))
+    label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
     kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff:
         way = f"{option.stations}s {option.faces}f {option.repeats}r"
-        kinds["best" if option.efficient else "tried"].append((option.hours, option.quality.get(name) or np.nan, way))
+        kinds["best" if option.efficient else "tried"].append(
+            (option.hours, option.quality.get(quality_name) or np.nan, way)
+        )
     for kind, layout in (("reference", plan.reference), ("chosen", plan)):
-        if layout is not None and layout.quality.get(name) is not None:
-            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
-    figure, ax = style.panel(3.2)
+        if layout is not None and layout.quality.get(quality_name) is not None:
+            kinds[kind].append((layout.hours, layout.quality[quality_name] or np.nan, ""))
+    figure, ax = style.new_panel(3.2)
     every = np.array([factor * quality for points in kinds.values() for _, quality, _ in points])
     for kind, points in kinds.items():
         if points:
             hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(points)), strict=True)
-            look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
+            look: dict[str, Any] = {
+                "marker": LAYOUT_MARKERS[kind],
+                "s": LAYOUT_MARKER_SIZES[kind],
+                "color": LAYOUT_COLOURS[kind],
+                "label": LAYOUT_LABELS[kind],
+            }
             ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
             if kind == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    for hour, size, way in kinds["best"][:MAX_NAMED]:
+    for hour, size, way in kinds["best"][:MAX_NAMED_LAYOUTS]:
         ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
     if (every > 0).all() and every.max() > 20 * every.min():
         ax.set_yscale("log")
     ax.margins(x=0.1, y=0.12)
     ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
-    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
-    style.quiet_axis(ax, grid="both")
-    style.legend_of(figure, [ax], ncols=2)
+    ax.set_ylabel(f"{typographic_text(label)}\n(lower is better)")
+    style.set_grid(ax, grid_axis="both")
+    style.add_legend(figure, [ax], n_columns=2)
     return figure

@@ -8,12 +8,13 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
-from ltsim.reports.figures.floor_plan import Label, place_labels
+from ltsim.reports.figures.floor_plan import MapLabel, draw_labels
 
-VIEWS = (("seen from above", 0, 1), ("side view", 0, 2))
+PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
+"""Projections of displacements: title, and indices of the two coordinate axes."""
 
 
-@style.styled
+@style.with_figure_style
 def displacement_figure(comparison: Comparison) -> Figure:
     """Displacements as arrows of common magnification, with a circle of the largest semi-axis at each tip."""
     points = comparison.displacements
@@ -25,9 +26,9 @@ def displacement_figure(comparison: Comparison) -> Figure:
     longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
     enlarged = float(0.125 * (np.ptp(places, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
     figure.suptitle(f"displacements are enlarged {1e3 * enlarged:.0f} times", x=0.01, ha="left", fontsize=7.5)
-    for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), PROJECTIONS, strict=True):
         for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
-            colour = style.RED if far else style.AFTER
+            colour = style.RED if far else style.COLOUR_AFTER
             start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
             turn = np.linspace(0, 2 * np.pi, 60)
             ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])
@@ -39,31 +40,31 @@ def displacement_figure(comparison: Comparison) -> Figure:
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
     gone = np.flatnonzero(moved)
-    for ax, (_, i, j) in zip(figure.axes, VIEWS, strict=True):
-        place_labels(
-            figure, ax, [Label(names[k], places[k, [i, j]], colour=style.RED) for k in gone], places[:, [i, j]]
+    for ax, (_, i, j) in zip(figure.axes, PROJECTIONS, strict=True):
+        draw_labels(
+            figure, ax, [MapLabel(names[k], places[k, [i, j]], colour=style.RED) for k in gone], places[:, [i, j]]
         )
     return figure
 
 
-SPREAD = 0.32
+GROUP_HALF_WIDTH = 0.32
 """Half-width of the spread of a group's tests around its row, in row spacings."""
 
 
-@style.styled
-def shares_of_limits(content: AcceptanceFile) -> Figure:
+@style.with_figure_style
+def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     """Error over limit of every test, one row per group; bars: expanded uncertainties, crosses: failed tests."""
     groups = [g.name for g in content.groups]
-    figure, ax = style.panel(0.9 + 0.42 * max(len(groups), 3))
-    rows = style.category_rows(ax, groups)
+    figure, ax = style.new_panel(0.9 + 0.42 * max(len(groups), 3))
+    rows = style.set_category_rows(ax, groups)
     ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
     for edge in (-1, 1):
-        ax.axvline(edge, color=style.INK, lw=0.8)
+        ax.axvline(edge, color=style.INK_COLOUR, lw=0.8)
     for row, name in zip(rows, groups, strict=True):
         mine = [t for t in content.tests if t.group == name]
         share = np.array([t.error_um / t.limit_um for t in mine])
         width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
-        place = row + np.linspace(-SPREAD, SPREAD, len(mine)) * (len(mine) > 1)
+        place = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(mine)) * (len(mine) > 1)
         good = np.abs(share) <= 1
         ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
         ax.plot(share[good], place[good], "o", ms=2.6, color=style.BLUE, mec="none")
@@ -74,29 +75,32 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
     return figure
 
 
-OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
-MAX_NAMES = 40
-MAX_STATIONS = 8
-NAME = 20
-"""Largest number of stations in a legend, and of characters of a name."""
-BELOW_LEGEND = 0.86
+OBSERVABLE_MARKS = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
+"""Name, colour and marker of each component of a two-face difference."""
+MAX_NAMED_TARGETS = 40
+"""Largest number of targets whose names are on the axis."""
+MAX_LEGEND_STATIONS = 8
+"""Largest number of stations in a legend."""
+MAX_LEGEND_NAME_LENGTH = 20
+"""Largest length of the name of a station in a legend [characters]."""
+AXES_FRACTION_BELOW_LEGEND = 0.86
 """Fraction of the axes below an inside legend."""
 
 
-@style.styled
+@style.with_figure_style
 def check_figure(check: Check) -> Figure:
     """Half two-face differences over their limits by target, and misfit of the pointings over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
-    _faces(above, check)
-    _course(below, check)
+    _draw_two_face_differences(above, check)
+    _draw_misfit_over_time(below, check)
     figure.suptitle(
         "go" if check.passed else "no-go", x=0.01, ha="left", color=style.GREEN if check.passed else style.RED
     )
     return figure
 
 
-def _faces(ax: Axes, check: Check) -> None:
+def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     names: list[str] = []
     at, recording = 0, check.arrays.recording
     for setup in check.arrays.setups:
@@ -107,16 +111,16 @@ def _faces(ax: Axes, check: Check) -> None:
             / setup.two_face_differences.max_half_differences
         )
         places = at + np.arange(len(share))
-        for column, (what, colour, marker) in enumerate(OBSERVABLES):
+        for column, (what, colour, marker) in enumerate(OBSERVABLE_MARKS):
             label = what if at == 0 else None
             ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
         rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         at += len(share)
-        ax.axvline(at - 0.5, ymax=BELOW_LEGEND, color=style.INK, lw=0.4)
+        ax.axvline(at - 0.5, ymax=AXES_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
-    style.quiet_axis(ax)
+    style.set_grid(ax)
     ax.set_title("Half two-face differences over their limits")
     ax.set_ylabel("fraction of the limit")
     if not names:
@@ -125,25 +129,27 @@ def _faces(ax: Axes, check: Check) -> None:
         return
     ax.set_xlim(-0.8, at - 0.2)
     low, high = ax.get_ylim()
-    ax.set_ylim(low, low + (high - low) / BELOW_LEGEND)
-    few = len(names) <= MAX_NAMES
-    ax.set_xticks(range(at) if few else [], [style.shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
+    ax.set_ylim(low, low + (high - low) / AXES_FRACTION_BELOW_LEGEND)
+    few = len(names) <= MAX_NAMED_TARGETS
+    ax.set_xticks(
+        range(at) if few else [], [style.shortened_name(n) for n in names] if few else [], rotation=90, fontsize=6
+    )
     ax.legend(loc="upper right", ncols=3)
 
 
-def _course(ax: Axes, check: Check) -> None:
+def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     scale, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
     for i, setup in enumerate(check.arrays.setups):
         if setup.occupation is None:
             continue
         size = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
-        label = style.shorten(setup.station, NAME) if i < MAX_STATIONS else None
+        label = style.shortened_name(setup.station, MAX_LEGEND_NAME_LENGTH) if i < MAX_LEGEND_STATIONS else None
         ax.plot(
             setup.occupation.recording.time / scale,
             size,
             ".",
             ms=4,
-            color=style.CYCLE[i % len(style.CYCLE)],
+            color=style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)],
             label=label,
         )
     marked = False
@@ -152,7 +158,7 @@ def _course(ax: Axes, check: Check) -> None:
             ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=style.RED, alpha=0.35, lw=0)
             ax.axvline(item.between_s[0] / scale, color=style.RED, lw=1.0, label=None if marked else "moved")
             marked = True
-    style.quiet_axis(ax)
+    style.set_grid(ax)
     ax.set_title("Misfit of each pointing")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
@@ -160,4 +166,4 @@ def _course(ax: Axes, check: Check) -> None:
     if not ax.lines:
         ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
     if names := ax.get_legend_handles_labels()[1]:
-        ax.legend(loc="upper right", ncols=style.columns_for(names, 5))
+        ax.legend(loc="upper right", ncols=style.legend_columns(names, 5))

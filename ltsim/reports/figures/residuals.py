@@ -9,101 +9,108 @@ from matplotlib.ticker import MaxNLocator
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.schema import Curve, Where
+from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import style
-from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
+from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
 
-MAX_STATIONS = 30
-MAX_DOTS = 40
+MAX_STATION_PANELS = 30
+MAX_VECTOR_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
-BAND = 1.96
+BAND_HALF_WIDTH_SIGMAS = 1.96
+"""Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
-@style.styled
-def residuals_by_covariate(residuals: Residuals) -> Figure:
+@style.with_figure_style
+def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
     """Normalised residuals of all observables over each available covariate, with running means."""
-    names = [name for name in USUAL if name in residuals.covariates]
+    names = [name for name in DEFAULT_COVARIATES if name in residuals.covariates]
     figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
-        for observable, colour in zip(OBSERVABLES, style.CYCLE, strict=False):
-            rows = residuals.of(observable) & np.isfinite(residuals.w)
-            x, w = residuals.covariates[name][rows], residuals.w[rows]
-            ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MAX_DOTS, zorder=1.5)
-            _running_mean(ax, x, w, colour=colour, label=observable)
-        ax.axhline(0.0, color=style.INK, linewidth=0.6)
-        style.quiet_axis(ax, grid="both")
+        for observable, colour in zip(OBSERVABLES, style.COLOUR_CYCLE, strict=False):
+            rows = residuals.is_observable(observable) & np.isfinite(residuals.normalised_residual)
+            x, w = residuals.covariates[name][rows], residuals.normalised_residual[rows]
+            ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MAX_VECTOR_DOTS, zorder=1.5)
+            _draw_running_mean(ax, x, w, colour=colour, label=observable)
+        ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
+        style.set_grid(ax, grid_axis="both")
         ax.xaxis.set_major_locator(MaxNLocator(5))
-        ax.set_xlabel(axis_text(name))
+        ax.set_xlabel(covariate_axis_label(name))
     for ax in axes.flat[len(names) :]:
         ax.set_axis_off()
     for ax in axes[:, 0]:
         ax.set_ylabel("residual / its sigma")
-    style.legend_of(figure, axes.flat)
+    style.add_legend(figure, axes.flat)
     return figure
 
 
-@style.styled
-def residuals_by_station(after: Residuals, before: Residuals | None = None) -> Figure:
+@style.with_figure_style
+def residuals_by_station_figure(after: Residuals, before: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
-    shown = [name for name in OBSERVABLES if after.of(name).any()]
-    stations = after.stations[:MAX_STATIONS]
+    shown = [name for name in OBSERVABLES if after.is_observable(name).any()]
+    stations = after.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    sides = [(after, 0.18 if before else 0.0, style.AFTER, "after")]
-    sides += [(before, -0.18, style.BEFORE, "before")] if before is not None else []
+    sides = [(after, 0.18 if before else 0.0, style.COLOUR_AFTER, "after")]
+    sides += [(before, -0.18, style.COLOUR_BEFORE, "before")] if before is not None else []
     for ax, observable in zip(axes, shown, strict=True):
         for residuals, shift, colour, word in sides:
             for place, station in enumerate(stations):
-                values = residuals.residual[residuals.of(observable) & (residuals.station == station)]
+                values = residuals.residual[residuals.is_observable(observable) & (residuals.station == station)]
                 x = place + shift + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
-                label, many = (word if place == 0 else None), len(values) > MAX_DOTS
+                label, many = (word if place == 0 else None), len(values) > MAX_VECTOR_DOTS
                 ax.plot(x, values, ".", ms=2.5, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
                 size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
                 bar = f"± rms {word}" if place == 0 else None
                 ax.vlines(place + shift, -size, size, color=colour, linewidth=3.0, alpha=0.8, label=bar)
-        ax.set_ylabel(_reading(observable))
-        ax.axhline(0.0, color=style.INK, linewidth=0.6)
-        style.quiet_axis(ax)
+        ax.set_ylabel(_observable_label(observable))
+        ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
+        style.set_grid(ax)
     axes[-1].set_xticks(
-        range(len(stations)), [style.shorten(s, 14) for s in stations], rotation=60 * (len(stations) > 8)
+        range(len(stations)), [style.shortened_name(s, 14) for s in stations], rotation=60 * (len(stations) > 8)
     )
     axes[-1].set_xlim(-0.6, len(stations) - 0.4)
-    style.legend_of(figure, axes[:1], ncols=4)
+    style.add_legend(figure, axes[:1], n_columns=4)
     return figure
 
 
-@style.styled
-def signature_figure(before: Residuals, after: Residuals, covariate: str, where: Where) -> Figure:
+@style.with_figure_style
+def signature_figure(before: Residuals, after: Residuals, covariate: str, where: FindingScope) -> Figure:
     """Residuals of the observables of a finding over a covariate, without it (left) and with it (right).
 
     Dots outside the place of the finding are pale.
     """
-    shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
+    shown = [
+        n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.is_observable(n).any()
+    ]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    scaled = before.w, after.by_noise_of(before).w
+    scaled = before.normalised_residual, after.normalised_by_noise_of(before).normalised_residual
     for line, observable in zip(grid, shown, strict=True):
         for ax, residuals, normalised, word in zip(line, (before, after), scaled, ("without", "with it"), strict=True):
-            rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
-            here = rows & residuals.at(where.stations, where.targets)
+            rows = residuals.is_observable(observable) & np.isfinite(residuals.covariates[covariate])
+            here = rows & residuals.is_at(where.stations, where.targets)
             if (rows & ~here).any():
-                _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
-            _dots(ax, residuals, here, covariate, color=style.AFTER, label="place of the finding", ms=4.0)
-            _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
+                _draw_residuals(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
+            _draw_residuals(
+                ax, residuals, here, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0
+            )
+            _draw_running_mean(
+                ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean"
+            )
             w = normalised[here]
             size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
             ax.set_title(f"{word}: rms {size:.2f} of the noise", fontsize=8, fontweight="normal")
-        line[0].set_ylabel(_reading(observable))
+        line[0].set_ylabel(_observable_label(observable))
     for ax in grid[-1]:
-        ax.set_xlabel(axis_text(covariate))
-    style.legend_of(figure, grid[0, :1])
+        ax.set_xlabel(covariate_axis_label(covariate))
+    style.add_legend(figure, grid[0, :1])
     return figure
 
 
-@style.styled
-def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None) -> Figure:
+@style.with_figure_style
+def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
     """Curve of a response over its covariate, with the 95 % band.
 
     `residuals` without the finding are drawn as dots behind the curve of an observable, which then has the sign of a
@@ -112,34 +119,34 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
     if residuals is not None and covariate == "time":
-        covariate = residuals.order
-    figure, ax = style.panel(2.6)
-    factor, label = _axis(covariate)
+        covariate = residuals.order_covariate
+    figure, ax = style.new_panel(2.6)
+    factor, label = _axis_factor_and_label(covariate)
     sign = 1.0
-    if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
-        rows, label_ = residuals.of(carrier), "residuals without the finding"
-        _dots(ax, residuals, rows, covariate, color=style.BEFORE, label=label_, ms=2.5)
-        sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNIT[carrier]]
-        unit = OBSERVABLE_UNIT[carrier]
+    if residuals is not None and covariate in residuals.covariates and response in OBSERVABLE_UNITS:
+        rows, label_ = residuals.is_observable(response), "residuals without the finding"
+        _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=label_, ms=2.5)
+        sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
+        unit = OBSERVABLE_UNITS[response]
     order = np.argsort(at, kind="stable")
-    x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND * sigma[order]
+    x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND_HALF_WIDTH_SIGMAS * sigma[order]
     ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
     ax.plot(x, y, color=style.RED, label="estimate")
-    ax.axhline(0.0, color=style.INK, linewidth=0.6)
+    ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     ax.set_xlabel(label)
-    ax.set_ylabel(f"{carrier} [{style.unit_text(unit)}]")
-    style.quiet_axis(ax, grid="both")
-    style.legend_of(figure, [ax])
+    ax.set_ylabel(f"{response} [{style.unit_text(unit)}]")
+    style.set_grid(ax, grid_axis="both")
+    style.add_legend(figure, [ax])
     return figure
 
 
-def axis_text(covariate: str) -> str:
+def covariate_axis_label(covariate: str) -> str:
     """Label of a covariate's axis."""
-    unit = COVARIATE_UNIT.get(covariate, "")
-    return f"{style.shorten(covariate)} [{unit}]" if unit else style.shorten(covariate)
+    unit = COVARIATE_UNITS.get(covariate, "")
+    return f"{style.shortened_name(covariate)} [{unit}]" if unit else style.shortened_name(covariate)
 
 
-def _axis(covariate: str) -> tuple[float, str]:
+def _axis_factor_and_label(covariate: str) -> tuple[float, str]:
     """Factor from the stored unit to the unit of the axis, and label of the axis."""
     if covariate.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
         return float(np.degrees(1.0)), f"{covariate} [°]"
@@ -148,20 +155,20 @@ def _axis(covariate: str) -> tuple[float, str]:
     return 1.0, f"{covariate} [m]" if covariate in ("distance", "height", "x", "y", "z") else covariate
 
 
-def _reading(observable: str) -> str:
-    return f"{observable} [{style.unit_text(OBSERVABLE_UNIT[observable])}]"
+def _observable_label(observable: str) -> str:
+    return f"{observable} [{style.unit_text(OBSERVABLE_UNITS[observable])}]"
 
 
-def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: Any) -> None:
-    """Draw residuals over a covariate with a line at zero; `look` is passed to matplotlib."""
-    many = int(rows.sum()) > MAX_DOTS
+def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **style_options: Any) -> None:
+    """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
+    many = int(rows.sum()) > MAX_VECTOR_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
-    ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **look)
-    ax.axhline(0.0, color=style.INK, linewidth=0.6)
-    style.quiet_axis(ax, grid="both")
+    ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **style_options)
+    ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
+    style.set_grid(ax, grid_axis="both")
 
 
-def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
+def _draw_running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
     """Draw the mean of the dots in about ten equally filled bins, with twice its standard error."""
     good = np.isfinite(x) & np.isfinite(y)
     order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
@@ -174,16 +181,18 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, la
     ax.plot(centre, mean, color=colour, linewidth=1.4, label=label)
 
 
-@style.styled
-def injected_and_estimated(at: Floats, injected: Floats, estimated: Floats, axis: str, label: str) -> Figure:
+@style.with_figure_style
+def injected_and_estimated_figure(
+    covariate: Floats, injected: Floats, estimated: Floats, axis: str, label: str
+) -> Figure:
     """Changes of readings (n,), injected as rings and estimated as dots, over a covariate (n,)."""
-    figure, ax = style.panel(2.7)
-    order = np.argsort(at, kind="stable")
+    figure, ax = style.new_panel(2.7)
+    order = np.argsort(covariate, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)
-    ax.plot(at[order], injected[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="injected")
-    ax.plot(at[order], estimated[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="estimated")
+    ax.plot(covariate[order], injected[order], "-o", ms=5, mfc="none", color=style.INK_COLOUR, lw=0.8, label="injected")
+    ax.plot(covariate[order], estimated[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="estimated")
     ax.set_xlabel(axis)
     ax.set_ylabel(label)
-    style.quiet_axis(ax, grid="both")
-    style.legend_of(figure, [ax])
+    style.set_grid(ax, grid_axis="both")
+    style.add_legend(figure, [ax])
     return figure

@@ -7,7 +7,7 @@ from typing import Any
 from ltsim.recordings.result_file import ResultFile, read_result
 from ltsim.reports.document import ReportContext, Section
 
-WRITERS = {
+SECTION_WRITERS = {
     "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
     "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
@@ -16,24 +16,24 @@ WRITERS = {
     "check.json": ("plain", "Check", "check_section"),
     "comparison.json": ("plain", "Comparison", "comparison_section"),
     "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
-    "next.json": ("plain", "NextMeasurement", "next_section"),
+    "next.json": ("plain", "NextMeasurement", "next_measurement_section"),
 }
 """Module, model and function of each result file; a module is imported on first use."""
 
 
-def content_of(folder: Path, file: str) -> ResultFile:
+def read_content(folder: Path, file: str) -> ResultFile:
     """Content of a result file in a folder; raises RecordError."""
-    module, model, _ = WRITERS[file]
-    content: ResultFile = read_result(folder, getattr(_module(module), model))
+    module, model, _ = SECTION_WRITERS[file]
+    content: ResultFile = read_result(folder, getattr(_import_section_module(module), model))
     return content
 
 
-def section_of(content: ResultFile, context: ReportContext | None = None) -> Section:
+def result_section(content: ResultFile, context: ReportContext | None = None) -> Section:
     """Section of a result for a page or a terminal."""
-    module, _, function = WRITERS[content.FILE]
-    section: Section = getattr(_module(module), function)(content, context or ReportContext())
+    module, _, function = SECTION_WRITERS[content.FILE]
+    section: Section = getattr(_import_section_module(module), function)(content, context or ReportContext())
     return section
 
 
-def _module(name: str) -> Any:
+def _import_section_module(name: str) -> Any:
     return import_module(f"{__name__}.{name}")

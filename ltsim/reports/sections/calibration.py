@@ -28,37 +28,37 @@ from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
-    BulletList,
-    Fact,
-    Note,
-    Picture,
+    BulletListBlock,
+    KeyFigure,
+    NoteBlock,
+    PictureBlock,
     ReportContext,
     Section,
     TableBlock,
-    mood,
+    assessment_of,
+    entries_table,
     table_block,
-    table_of,
 )
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
-    adjusted_if_possible,
-    combined,
-    residual_blocks,
+    adjustment_pair_if_possible,
+    determined_table,
+    residual_figures,
     target_table,
-    targets_in_words,
-    truth_of,
-    undetermined,
+    target_uncertainty_sentence,
+    truth_in_folder,
+    undetermined_table,
     workshop_blocks,
 )
-from ltsim.reports.words import agreement, count, is_determined, listing, sentence
+from ltsim.reports.words import as_sentence, count_text, global_test_verdict, is_determined, listing
 from ltsim.simulation.truth import Truth
 
 if TYPE_CHECKING:
-    from ltsim.reports.workshop import PlacedWorkshop, Sights
+    from ltsim.reports.workshop import DrawnSights, PlacedWorkshop
 
-MIN_CHANGE = 0.05
+MIN_REPORTED_CRITERION_CHANGE = 0.05
 """Smallest change of a criterion [%] that is reported as a change: the last displayed digit."""
-SETTLED = ("", "converged", "not stated")
+CONVERGED_STATUSES = ("", "converged", "not stated")
 """Statuses of a fit without a warning."""
 
 
@@ -72,76 +72,76 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     """
     recording = context.recording
     require_same_recording(content, recording, context.folder or Path())
-    agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
+    agrees, words = global_test_verdict(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, so the global test does not apply"
-    converged = content.fit.status in SETTLED
-    targets, residuals = (context.file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
-    pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
+    converged = content.fit.status in CONVERGED_STATUSES
+    targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
+    pair = None if residuals is None or context.is_brief else adjustment_pair_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     good = agrees and converged and all(outlier.excluded for outlier in content.outliers)
     needs_constants = converged and _agrees_with_constants(content)
-    words = _constants_words(content) or words
-    first = _parameters(content, truth_of(context)) if content.parameters else []
-    fits = _reference_values(content)
+    words = _constants_sentence(content) or words
+    first = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
+    fits = _reference_value_blocks(content)
     ahead = fits if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [
-        *_warnings(content, converged=converged, agrees=agrees),
+        *_warning_blocks(content, converged=converged, agrees=agrees),
         *ahead,
         *first[:1],
-        *_criteria(content),
+        *_criteria_blocks(content),
     ]
     blocks += product if good else []  # coordinates of a rejected fit are in the details
     shown = len(blocks) + 1
     if targets is not None and content.stations:
-        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), context.detail)
-    blocks += combined("Determined in combination", content.determined)
+        blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.detail)
+    blocks += determined_table("Determined in combination", content.determined)
     blocks += [
         *([] if ahead else fits),
         *first[1:],
         *([] if good else product),
-        *_stations(content),
+        *_station_blocks(content),
     ]
-    if after is not None and not context.brief:
-        blocks += residual_blocks(after, before)
+    if after is not None and not context.is_brief:
+        blocks += residual_figures(after, before)
     if content.effects:
         blocks.append(
-            BulletList("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
+            BulletListBlock("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
         )
     note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
-    blocks += undetermined("Not determined by this recording", content.undetermined, note=note)
+    blocks += undetermined_table("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(
-        title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
+        title=f"{kind}: {named}" if named else f"{kind} of {count_text(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
-        answer=_answer(content, words, targets),
-        mood="plain" if needs_constants else mood(good),
-        facts=_facts(content, agrees=agrees),
+        summary=_answer_sentence(content, words, targets),
+        assessment="plain" if needs_constants else assessment_of(good),
+        key_figures=_key_figures(content, agrees=agrees),
         blocks=blocks,
-        actions=_actions(content, good=good),
+        next_actions=_next_actions(content, good=good),
         axes=content.frame,
-        shown=shown,
+        n_open_blocks=shown,
     )
 
 
-def _answer(content: Calibration, agreement_words: str, targets: Path | None) -> str:
-    size = count(len(content.stations), "station")
+def _answer_sentence(content: Calibration, agreement_words: str, targets: Path | None) -> str:
+    size = count_text(len(content.stations), "station")
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
     else:
         clear = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
         begin = (
             f"The instrument was calibrated from {size}: {len(clear)} of "
-            f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
+            f"{count_text(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
         )
     distance = None if content.criteria is None else content.criteria.distance
     if distance is not None and distance.improvement_percent is not None:
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
-        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_CHANGE else "as well as"
+        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_REPORTED_CRITERION_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
             f"({number_text(distance.before.mean_um)} to "
@@ -149,7 +149,7 @@ def _answer(content: Calibration, agreement_words: str, targets: Path | None) ->
         )
     if content.outliers:
         rejected = sum(outlier.excluded for outlier in content.outliers)
-        begin += f"; {count(len(content.outliers), 'reading')} did not fit"
+        begin += f"; {count_text(len(content.outliers), 'reading')} did not fit"
         were = "was" if rejected == 1 else "were"
         begin += (
             f" and {were} left out"
@@ -158,73 +158,75 @@ def _answer(content: Calibration, agreement_words: str, targets: Path | None) ->
             if rejected
             else ""
         )
-    accuracy = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
+    accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{begin}.{accuracy}".rstrip()
 
 
 def _agrees_with_constants(content: Calibration) -> bool:
     """True if the readings agree as soon as the instrument's constants are estimated."""
     fit = content.with_constants
-    return fit is not None and agreement(fit.chi2, fit.dof, fit.p_value)[0]
+    return fit is not None and global_test_verdict(fit.chi2, fit.dof, fit.p_value)[0]
 
 
-def _constants_words(content: Calibration) -> str:
+def _constants_sentence(content: Calibration) -> str:
     """Agreement of the readings with and without the instrument's constants; empty where that was not compared."""
     fit = content.with_constants
     if fit is None:
         return ""
-    with_them, without = (agreement(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
+    with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
     if _agrees_with_constants(content):
         return f"the instrument's constants are still in the coordinates; with these estimated {with_them}"
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
 
-def _facts(content: Calibration, *, agrees: bool) -> list[Fact]:
+def _key_figures(content: Calibration, *, agrees: bool) -> list[KeyFigure]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
-        Fact("sigma0", fixed_point_text(fit.sigma0, 3), mood(agrees)),
-        Fact("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else mood(agrees)),
-        Fact("degrees of freedom", str(fit.dof)),
-        Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
+        KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(agrees)),
+        KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(agrees)),
+        KeyFigure("degrees of freedom", str(fit.dof)),
+        KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
         expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
-        facts.append(Fact("expected 3D error of a new point, corrected", expected))
+        facts.append(KeyFigure("expected 3D error of a new point, corrected", expected))
     return facts
 
 
-def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Block]:
+def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> list[Block]:
     """Blocks of warnings: failed convergence, outliers, estimated noise. A rejected fit promises no benefit."""
     blocks: list[Block] = []
     if not converged:
-        blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
+        blocks.append(NoteBlock("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     verdict = content.verdict.sentence
     if content.noise_estimated:  # the global test does not apply to it, the causes do
         verdict = " ".join(test.sentence for test in content.tests if test.sentence and test.sentence in verdict)
     if verdict:
-        blocks.append(Note("Verdict", verdict))
+        blocks.append(NoteBlock("Verdict", verdict))
     lines = uncertainty_sentences(content)
-    blocks += [BulletList("Uncertainty", lines)] if lines else []
+    blocks += [BulletListBlock("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
         lines = [*([content.correction.error_text] if agrees else []), *content.correction.sentences]
-        blocks += [BulletList("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
+        blocks += (
+            [BulletListBlock("Benefit of the calibration", [as_sentence(line) for line in lines])] if lines else []
+        )
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
-        blocks.append(Note("Targets without coordinates", text, "bad"))
-    blocks += table_block("Outlying readings", OUTLIERS_TABLE.filled(content.outliers))
+        blocks.append(NoteBlock("Targets without coordinates", text, "bad"))
+    blocks += table_block("Outlying readings", OUTLIERS_TABLE.with_rows(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
-    return blocks + table_block("Noise estimated from the readings", NOISE_TABLE.filled(content.noise), note=note)
+    return blocks + table_block("Noise estimated from the readings", NOISE_TABLE.with_rows(content.noise), note=note)
 
 
-def _reference_values(content: Calibration) -> list[TableBlock]:
+def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     note = "Residual: declared minus adjusted value; error: estimate from all other observations, +- one sigma."
     shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
+    return entries_table("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
-def _actions(content: Calibration, *, good: bool) -> list[str]:
+def _next_actions(content: Calibration, *, good: bool) -> list[str]:
     """Next actions, the most urgent first."""
     actions = []
     remaining = [o for o in content.outliers if not o.excluded]
@@ -249,7 +251,7 @@ def _actions(content: Calibration, *, good: bool) -> list[str]:
     return actions
 
 
-def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
+def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true = [true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names]
@@ -258,13 +260,13 @@ def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
     if any(p.applied is not None for p in rows):
         note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
     blocks: list[Block] = [
-        Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
-        *table_block("Parameters in numbers", PARAMETERS_TABLE.filled(rows), note=note, folds=False),
+        PictureBlock("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
+        *table_block("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
         text = "Two parameters near +-100 % can hardly be separated with this network."
-        drawn = Picture(
+        drawn = PictureBlock(
             "Correlation of the parameters",
             lambda: figures.parameters.correlation_figure(rows, covariance),
             text,
@@ -273,29 +275,29 @@ def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
     return blocks
 
 
-def _criteria(content: Calibration) -> list[TableBlock]:
+def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
     return table_block("Criteria before and after calibration", content.criteria.criteria_table(), note=text)
 
 
-def _stations(content: Calibration) -> list[TableBlock]:
+def _station_blocks(content: Calibration) -> list[TableBlock]:
     rows = [
         [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations
     ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", STATION_COORDINATES_TABLE.filled(rows), note=note)
+    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(rows), note=note)
 
 
-def workshop_of(
+def calibrated_workshop(
     content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> PlacedWorkshop:
     """Calibrated network for drawing."""
     from scipy.spatial.transform import Rotation
 
-    from ltsim.reports.workshop import PlacedWorkshop, with_surroundings
+    from ltsim.reports.workshop import PlacedWorkshop, workshop_with_surroundings
 
     names, points, sigma = read_targets(targets)
     stations = tuple(s.name for s in content.stations)
@@ -303,18 +305,20 @@ def workshop_of(
     network = PlacedWorkshop(
         title=setup.title or "Calibrated network",
         stations=stations,
-        position=np.array([s.position for s in content.stations]),
-        rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
+        station_positions=np.array([s.position for s in content.stations]),
+        station_rotations=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
         targets=names,
-        points=np.nan_to_num(points),
-        sights=_sights(residuals, stations, names),
-        covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
+        target_points=np.nan_to_num(points),
+        sights=_residual_sights(residuals, stations, names),
+        target_covariances=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
     )
-    return with_surroundings(network, setup)
+    return workshop_with_surroundings(network, setup)
 
 
-def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
-    from ltsim.reports.workshop import Sights
+def _residual_sights(
+    residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]
+) -> DrawnSights | None:
+    from ltsim.reports.workshop import DrawnSights
 
     if residuals is None:
         return None
@@ -323,5 +327,7 @@ def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Seque
         for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
     matched = (station >= 0) & (target >= 0)
-    size = np.abs(np.nan_to_num(residuals.w[matched]))
-    return Sights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None
+    size = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))
+    return (
+        DrawnSights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None
+    )

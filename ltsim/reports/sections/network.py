@@ -13,7 +13,7 @@ from ltsim.calibration.combinations import UNDETERMINED_TABLE, DeterminedEntry, 
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
+from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.results import Table, numbers, texts
@@ -23,27 +23,28 @@ from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
     CodeBlock,
-    Detail,
-    Fact,
-    Note,
-    Picture,
+    KeyFigure,
+    NoteBlock,
+    PictureBlock,
     ReportContext,
-    Scene,
+    SceneBlock,
     Section,
     TableBlock,
-    mood,
+    WorkshopDetail,
+    assessment_of,
+    entries_table,
     table_block,
-    table_of,
 )  # fmt: skip
-from ltsim.reports.residuals import USUAL, Residuals
-from ltsim.reports.words import agreement, count, duration, natural
+from ltsim.reports.residuals import DEFAULT_COVARIATES, Residuals
+from ltsim.reports.words import count_text, duration_text, global_test_verdict, natural_sort_key
 from ltsim.simulation.truth import Truth, read_truth
 
 if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop
 
-TRUTH = "truth.json"
-WORK = Table(
+TRUTH_FILE = "truth.json"
+"""Name of the file of a truth."""
+WORK_TABLE = Table(
     "work.csv",
     "work of each station",
     (
@@ -52,11 +53,12 @@ WORK = Table(
         *texts(starts_at="time since the first pointing"),
     ),
 )
-Pair = tuple[Adjustment, Adjustment]
+"""Table of the work of each station."""
+AdjustmentPair = tuple[Adjustment, Adjustment]
 """Adjusted networks without and with the instrument's parameters."""
 
 
-def adjusted(recording: Recording) -> Pair:
+def adjustment_pair(recording: Recording) -> AdjustmentPair:
     """Adjusted networks without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
     plain, full = adjust(recording), adjust(recording, declared_construction(recording))
     plain.solution.require_success()
@@ -64,77 +66,77 @@ def adjusted(recording: Recording) -> Pair:
     return plain, full
 
 
-def adjusted_if_possible(recording: Recording | None) -> Pair | None:
-    """Adjusted networks as of `adjusted`; None without a recording, or if it cannot be adjusted."""
+def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair | None:
+    """Adjusted networks as of `adjustment_pair`; None without a recording, or if it cannot be adjusted."""
     try:
-        return adjusted(recording) if recording is not None else None
+        return adjustment_pair(recording) if recording is not None else None
     except (NetworkError, ConvergenceError):
         return None
 
 
-def truth_of(context: ReportContext) -> Truth | None:
+def truth_in_folder(context: ReportContext) -> Truth | None:
     """Truth of a simulation in the folder of a result."""
-    file = context.folder / TRUTH if context.folder else None
+    file = context.folder / TRUTH_FILE if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 
-def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
+def residual_figures(after: Residuals, before: Residuals | None) -> list[Block]:
     """Figures of residuals by station and over covariates; `before` is without the instrument's parameters."""
     compared = " Grey: without the instrument's parameters; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
-    drawn = Picture(
-        "Residuals by station", lambda: figures.residuals.residuals_by_station(after, before), text + compared
+    drawn = PictureBlock(
+        "Residuals by station", lambda: figures.residuals.residuals_by_station_figure(after, before), text + compared
     )
-    return [drawn, *over_covariates(after)]
+    return [drawn, *residuals_over_covariates(after)]
 
 
-def over_covariates(after: Residuals) -> list[Block]:
+def residuals_over_covariates(after: Residuals) -> list[Block]:
     """Figure of residuals over covariates."""
     text = "Lines: running means with twice their standard error; they stay at zero if the model is correct."
     title = "Residuals over covariates"
-    shared = set(USUAL) & set(after.covariates)
-    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if shared else []
+    shared = set(DEFAULT_COVARIATES) & set(after.covariates)
+    return [PictureBlock(title, lambda: figures.residuals.residuals_by_covariate_figure(after), text)] if shared else []
 
 
-def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list[Block]:
+def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: WorkshopDetail) -> list[Block]:
     """3D view and floor plan, according to `detail`."""
     if detail == "none":
         return []
-    workshop = shown()
+    workshop = placed_workshop()
     text = (
         "Seen from above. Do not place a reflector on the floor inside a shadow circle: the elevation limit of the "
         "station hides it"
     )
     drawn = "; ".join([text, *workshop.notes]) + "."
-    plan = Picture("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
-    return [scene(workshop), plan] if detail == "turn" else [plan]
+    plan = PictureBlock("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
+    return [scene_block(workshop), plan] if detail == "turn" else [plan]
 
 
-def scene(workshop: PlacedWorkshop) -> Scene | Note:
+def scene_block(workshop: PlacedWorkshop) -> SceneBlock | NoteBlock:
     """3D view with its interactive page; a note if packages are missing."""
-    if not installed("pyvista"):
-        return Note("No 3D view", str(missing_extra("3D views", "view")))
-    from ltsim.reports.scene_page import picture_and_page  # slow to import
-    from ltsim.reports.style import webp_uri
+    if not is_installed("pyvista"):
+        return NoteBlock("No 3D view", str(missing_extra("3D views", "view")))
+    from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
+    from ltsim.reports.style import webp_data_uri
 
-    coloured = workshop.coloured("incidence")
-    picture, legend, page = picture_and_page(coloured)
+    coloured = workshop.with_sights_by("incidence")
+    picture, legend, page = scene_picture_and_page(coloured)
     lines = "; ".join(line.rstrip(".") for line in legend.lines)
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
     caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
-    return Scene("The workshop in 3D", webp_uri(picture), caption, page)
+    return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[UndeterminedEntry], *, note: str = "") -> list[TableBlock]:
+def undetermined_table(title: str, entries: Sequence[UndeterminedEntry], *, note: str = "") -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
     rows = [[entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
-    return table_block(title, UNDETERMINED_TABLE.filled(rows), note=note)
+    return table_block(title, UNDETERMINED_TABLE.with_rows(rows), note=note)
 
 
-def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
+def determined_table(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single ones."""
     note = "The combination is determined far better than its single parameters."
-    return table_of(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
+    return entries_table(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
@@ -142,13 +144,13 @@ def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
     if file is None:
         return []
     names, points, sigma = read_targets(file)
-    order = sorted(range(len(names)), key=lambda i: natural(names[i]))
+    order = sorted(range(len(names)), key=lambda i: natural_sort_key(names[i]))
     rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
     note = f"U: expanded uncertainty, k = 2. {note}"
-    return table_block("Targets", STATION_COORDINATES_TABLE.filled(rows), note=note, folds=False)
+    return table_block("Targets", STATION_COORDINATES_TABLE.with_rows(rows), note=note, is_foldable=False)
 
 
-def targets_in_words(sigma: Floats) -> str:
+def target_uncertainty_sentence(sigma: Floats) -> str:
     """Sentence on the uncertainty of targets with sigmas (T, 3) [m]; in plan if heights are undetermined."""
     placed = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
     flat = bool(np.isnan(placed).any())
@@ -160,69 +162,71 @@ def targets_in_words(sigma: Floats) -> str:
     return f"Expanded uncertainty of a target in {where}: U = {typical} um (k = 2), {worst} um for the worst."
 
 
-def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
-    """Section of a recording; a `brief` one leaves residuals to the section of its calibration.
+def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief: bool = False) -> Section:
+    """Section of a recording; a `is_brief` one leaves residuals to the section of its calibration.
 
     Raises
     ------
     RecordError
         When the recording cannot be read.
     """
-    from ltsim.reports.workshop import from_adjustment
+    from ltsim.reports.workshop import workshop_from_adjustment
 
     recording = read(folder)
     title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
     facts = [
-        Fact("stations", str(len(recording.stations))),
-        Fact("targets", str(len(recording.targets))),
-        Fact("pointings", str(len(recording))),
-        Fact("known lengths", str(len(recording.gauge.distance))),
+        KeyFigure("stations", str(len(recording.stations))),
+        KeyFigure("targets", str(len(recording.targets))),
+        KeyFigure("pointings", str(len(recording))),
+        KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last: list[Block] = [*_table(recording), _settings(folder)]
+    last: list[Block] = [*_work_table(recording), _settings_blocks(folder)]
     try:
-        plain, full = adjusted(recording)
+        plain, full = adjustment_pair(recording)
     except (NetworkError, ConvergenceError) as problem:
-        answer = f"{_contents(recording)} The network could not be adjusted: {problem}."
+        answer = f"{_content_key_figures(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last)
-    agrees, words = agreement(full.chi2, full.dof, full.p_value)
+    agrees, words = global_test_verdict(full.chi2, full.dof, full.p_value)
     outliers = full.flagged_readings()
-    outlier_text = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
+    outlier_text = f" Outliers: {count_text(len(outliers), 'reading')}." if outliers else ""
     facts += [
-        Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
-        Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
-        Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
+        KeyFigure("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", assessment_of(agrees)),
+        KeyFigure("p, two-sided", p_text(two_sided(full.p_value)), assessment_of(agrees)),
+        KeyFigure("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    workshop = from_adjustment(full, plain=plain) if detail != "none" else None
-    if not brief:
+    workshop = workshop_from_adjustment(full, without_parameters=plain) if detail != "none" else None
+    if not is_brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
-        last = [*residual_blocks(after, before), *last]
+        last = [*residual_figures(after, before), *last]
     del plain, full  # whose designs take more memory than all pictures
     blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
-    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
-    return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
-
-
-def _contents(recording: Recording) -> str:
-    faces = "two faces" if (recording.face == 2).any() else "one face"
-    time = f" over {duration(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
-    return (
-        f"{count(len(recording), 'pointing')} from {count(len(recording.stations), 'station')} to "
-        f"{count(len(recording.targets), 'target')} in {faces}{time}."
+    answer = f"{_content_key_figures(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
+    return Section(
+        title, "Recording", answer, assessment_of(agrees and not outliers), facts, [*blocks, *last], n_open_blocks=2
     )
 
 
-def _table(recording: Recording) -> list[TableBlock]:
+def _content_key_figures(recording: Recording) -> str:
+    faces = "two faces" if (recording.face == 2).any() else "one face"
+    time = f" over {duration_text(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
+    return (
+        f"{count_text(len(recording), 'pointing')} from {count_text(len(recording.stations), 'station')} to "
+        f"{count_text(len(recording.targets), 'target')} in {faces}{time}."
+    )
+
+
+def _work_table(recording: Recording) -> list[TableBlock]:
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
         sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
-        begin = duration(float(recording.time[here].min())) if recording.has_clock else MISSING_TEXT
-        rows.append([name, *map(int, sizes), int((~recording.measured[here]).sum()), begin])
-    return table_block("Work of each station", WORK.filled(rows))
+        begin = duration_text(float(recording.time[here].min())) if recording.has_clock else MISSING_TEXT
+        rows.append([name, *map(int, sizes), int((~recording.is_measured[here]).sum()), begin])
+    return table_block("Work of each station", WORK_TABLE.with_rows(rows))
 
 
-def _settings(folder: Path) -> Block:
+def _settings_blocks(folder: Path) -> Block:
     file = folder / "setup.toml"
     if not file.is_file():
-        return Note("Set-up", "There is no setup.toml; the default noise and priors were used.")
+        return NoteBlock("Set-up", "There is no setup.toml; the default noise and priors were used.")
     return CodeBlock("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

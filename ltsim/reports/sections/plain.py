@@ -20,32 +20,39 @@ from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
-    BulletList,
-    Fact,
-    Note,
-    Picture,
+    BulletListBlock,
+    KeyFigure,
+    NoteBlock,
+    PictureBlock,
     ReportContext,
     Section,
-    mood,
+    assessment_of,
+    entries_table,
     table_block,
-    table_of,
 )
-from ltsim.reports.words import count, distinct_labels, duration, listing, natural, sentence
+from ltsim.reports.words import as_sentence, count_text, distinct_labels, duration_text, listing, natural_sort_key
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Named = TypeVar("Named", ChangeEntry, EventEntry)
-LIKELY = 0.5
-NOTHING = 1e-6
-UNITED = (
+EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
+MIN_PASS_PROBABILITY = 0.5
+"""Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
+MAX_ZERO_CONSTANT = 1e-6
+UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
 )
-HIDDEN = "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
-MAX_BARS = 40
-MAX_TESTS = 200
-AGAINST = {
+"""Note below a table of expanded uncertainties."""
+UNDETECTABLE_NOTE = (
+    "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
+)
+"""Note below a table of undetectable errors."""
+MAX_BUDGET_BARS = 40
+"""Largest number of results in a figure of budgets."""
+MAX_LISTED_TESTS = 200
+"""Largest number of acceptance tests in a table, the least likely to pass first."""
+ACTIONS_BY_FAILED_TEST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
         "Re-measure the points of the failed tests before moving the tripod."
@@ -57,64 +64,72 @@ AGAINST = {
 
 def check_section(content: Check, context: ReportContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
-    drawn = context.file("check.svg", content)
+    drawn = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
-    blocks: list[Block] = [] if drawn is None else [Picture("At a glance", lambda: drawn.read_text("utf-8"), caption)]
+    blocks: list[Block] = (
+        [] if drawn is None else [PictureBlock("At a glance", lambda: drawn.read_text("utf-8"), caption)]
+    )
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
-        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields, folds=False)
+        blocks += entries_table(title, [i for i in content.items if i.passed is passed], *fields, is_foldable=False)
     failed = sum(not item.passed for item in content.items)
-    facts = [Fact("tests", str(len(content.items))), Fact("failed", str(failed), mood(not failed))]
+    facts = [KeyFigure("tests", str(len(content.items))), KeyFigure("failed", str(failed), assessment_of(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
     shown = 2 if failed else 1
     named = content.recording.title if content.recording else ""
-    title, answer = f"Check in the field: {named}" if named else "Check in the field", sentence(content.sentence)
-    actions = [does for kinds, does in AGAINST.items() if any(not i.passed and i.kind in kinds for i in content.items)]
-    return Section(title, "Check", answer, mood(content.passed), facts, blocks, shown=shown, actions=actions)
+    title, answer = f"Check in the field: {named}" if named else "Check in the field", as_sentence(content.sentence)
+    actions = [
+        does
+        for kinds, does in ACTIONS_BY_FAILED_TEST.items()
+        if any(not i.passed and i.kind in kinds for i in content.items)
+    ]
+    return Section(
+        title, "Check", answer, assessment_of(content.passed), facts, blocks, n_open_blocks=shown, next_actions=actions
+    )
 
 
 def comparison_section(content: Comparison, _: ReportContext) -> Section:
     """Section of a comparison of epochs."""
-    points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
+    points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
-    shown = DISPLACEMENTS_TABLE.filled(d.row for d in points).with_columns(
+    shown = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
-    table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
+    table = table_block("Every point", shown, note=note, marked_rows=frozenset(range(len(moved))), is_foldable=False)
     facts = [
-        Fact("points", str(len(points))),
-        Fact("moved", str(len(moved)), mood(not moved)),
-        Fact("no motion, p", p_text(content.p_value), mood(content.p_value >= content.level)),
-        *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
+        KeyFigure("points", str(len(points))),
+        KeyFigure("moved", str(len(moved)), assessment_of(not moved)),
+        KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
+        *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
-    answer = " ".join(map(sentence, (content.sentence, *content.notes)))
-    drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
+    drawn = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
     if content.is_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
-        "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
-        axes="the first epoch's", actions=[action] if moved else [],
+        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [drawn, *table],
+        axes="the first epoch's", next_actions=[action] if moved else [],
     )  # fmt: skip
 
 
 def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
-    good = mood(content.passes >= (LIKELY if predicted else 1.0))
+    good = assessment_of(content.passes >= (MIN_PASS_PROBABILITY if predicted else 1.0))
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1."
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_TESTS]
+    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_LISTED_TESTS]
     blocks: list[Block] = [
-        Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
+        PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
-        *table_of(
+        *entries_table(
             "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
-            marked=lambda t: not predicted and t.passes < 1,
+            is_marked=lambda t: not predicted and t.passes < 1,
         ),
-        *table_of(
+        *entries_table(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
             "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
@@ -122,7 +137,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     worst = content.worst_passing
     if worst is not None:
         constants = ", ".join(
-            f"{name} {number_text(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+            f"{name} {number_text(value, 2)}"
+            for name, value in worst.constants.items()
+            if abs(value) > MAX_ZERO_CONSTANT
         )
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(blind)}. " if blind else ""
@@ -130,16 +147,18 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
             f"{worst.rms_um:.0f} um (rms; {worst.largest_um:.0f} um at most)."
         )
-        blocks.append(Note("Undetected instrument errors", text))
+        blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
-        Fact("tests", str(len(content.tests))),
-        Fact("probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good),
-        Fact("plan", content.plan),
-        *([Fact("limits", content.specification.name)] if content.specification.name else []),
+        KeyFigure("tests", str(len(content.tests))),
+        KeyFigure(
+            "probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good
+        ),
+        KeyFigure("plan", content.plan),
+        *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
     kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
-    return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
+    return Section(title, kind, as_sentence(content.sentence), good, facts, blocks, instrument=named)
 
 
 def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
@@ -148,55 +167,64 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     results = content.table("results").with_columns(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
     )
-    blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
+    blocks: list[Block] = [*table_block("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
     blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
-    blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    blocks += table_block("Undetectable errors", content.table("hidden"), note=HIDDEN)
-    blocks += [BulletList("Warnings", content.warnings)] if content.warnings else []
+    blocks.append(PictureBlock("Budget", lambda: uncertainty_budget_figure(content), caption))
+    blocks += table_block("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
+    blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
-        blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
+        blocks += entries_table(head, [part for part in r.budget if part.share > 1e-3], *fields)
     by_word = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or content.results[0].text
     )
-    facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
-    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number_text(content.sigma0))]
+    facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage", f"{100 * content.coverage:g} %")]
+    facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
     return Section(
-        title, "Uncertainty", sentence(answer), mood(not by_word["rejected"]), facts, blocks, axes=content.frame
+        title,
+        "Uncertainty",
+        as_sentence(answer),
+        assessment_of(not by_word["rejected"]),
+        facts,
+        blocks,
+        axes=content.frame,
     )
 
 
-def budget_of(content: Uncertainty) -> Figure:
+def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     """Figure of the budgets of the first results."""
-    shown = content.results[:MAX_BARS]
+    shown = content.results[:MAX_BUDGET_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-def next_section(content: NextMeasurement, _: ReportContext) -> Section:
+def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
     best = content.proposals[0]
-    decided = mood(best.decides) if content.between else "plain"
+    decided = assessment_of(best.decides) if content.between else "plain"
     saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
-    answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the standard deviations of the "
+    answer = f"Measure next: {best.do} ({duration_text(60 * best.minutes)}); the standard deviations of the "
     answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
-    answer = sentence(content.advice) if content.between and content.advice else answer
+    answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
     proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
         blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
-    blocks += [Note("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
-    facts = [Fact("time for it", duration(60 * best.minutes)), Fact("mean fall of sigma", f"{saved[0]:.0f} %")]
-    actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
-    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
+    blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
+    facts = [
+        KeyFigure("time for it", duration_text(60 * best.minutes)),
+        KeyFigure("mean fall of sigma", f"{saved[0]:.0f} %"),
+    ]
+    actions = [as_sentence(proposal.do) for proposal in content.proposals[:1]]
+    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, next_actions=actions)
 
 
 def history_section(content: History, _: ReportContext) -> Section:
@@ -207,7 +235,7 @@ def history_section(content: History, _: ReportContext) -> Section:
     changed = bool(content.events) if usual else since.p_value < FAMILY_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
-    course = [Picture("Course of the parameters", figure, text)] if content.determined_parameters else []
+    course = [PictureBlock("Course of the parameters", figure, text)] if content.determined_parameters else []
     few = "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
     hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
     note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
@@ -215,41 +243,41 @@ def history_section(content: History, _: ReportContext) -> Section:
     changes = content.table("changes")
     marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
     blocks: list[Block] = [
-        *table_block("Changes between calibrations", changes, note=note, marked=marked),
+        *table_block("Changes between calibrations", changes, note=note, marked_rows=marked),
         *course,
         *table_block("Events: unusual steps", content.table("events")),
         *table_block("Parameters", content.table("parameters")),
         *table_block("Fits of the calibrations", content.table("fits"), note=scaled),
     ]
     facts = [
-        Fact("calibrations", str(len(labels))),
-        Fact("events", str(len(content.events)), mood(not content.events)),
-        Fact("p of no change since the first", p_text(since.p_value), mood(not changed)),
+        KeyFigure("calibrations", str(len(labels))),
+        KeyFigure("events", str(len(content.events)), assessment_of(not content.events)),
+        KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not changed)),
     ]
-    answer = f"Over {count(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
-    answer += _course_words(content, usual)
-    return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
+    answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
+    answer += _course_sentence(content, usual)
+    return Section("History of an instrument", "History", answer, assessment_of(not changed), facts, blocks)
 
 
 def _with_short_labels(content: History) -> History:
     """The history with the parts of its labels that distinguish them."""
     short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
 
-    def relabelled(entry: Named) -> Named:
+    def with_short_label(entry: EntryWithName) -> EntryWithName:
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
 
     return content.model_copy(
         update={
             "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
-            "changes": tuple(map(relabelled, content.changes)),
-            "events": tuple(map(relabelled, content.events)),
-            "since_first": relabelled(content.since_first),
+            "changes": tuple(map(with_short_label, content.changes)),
+            "events": tuple(map(with_short_label, content.events)),
+            "since_first": with_short_label(content.since_first),
         }
     )
 
 
-def _course_words(content: History, usual: bool) -> str:
+def _course_sentence(content: History, usual: bool) -> str:
     since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:

@@ -10,18 +10,18 @@ from ltsim.planning.result import Plan
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
-    BulletList,
+    BulletListBlock,
     CodeBlock,
-    Fact,
-    Note,
-    Picture,
+    KeyFigure,
+    NoteBlock,
+    PictureBlock,
     ReportContext,
     Section,
-    mood,
+    assessment_of,
     table_block,
 )
-from ltsim.reports.sections.network import scene, undetermined
-from ltsim.reports.words import QUALITY, duration, of_presets
+from ltsim.reports.sections.network import scene_block, undetermined_table
+from ltsim.reports.words import QUALITY_MEASURES, duration_text, tracker_presets_text
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
@@ -35,79 +35,81 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
     blocks: list[Block] = [*table_block("Places of the tripod", content.table("stations"), note=frame)]
-    file = context.file("scenario.toml", content)
+    file = context.companion_file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
-    drawn, changed = _pictures(content, scenario, turn=context.detail == "turn")
+    drawn, changed = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
     blocks += drawn
     if content.blocked_sights:
-        blocks.append(BulletList("Blocked lines of sight", content.blocked_sights))
+        blocks.append(BulletListBlock("Blocked lines of sight", content.blocked_sights))
     if content.reasons:
-        blocks.append(BulletList("Reasons for this plan", content.reasons))
-    blocks += _tolerances(content) + _changes(content) + changed
-    blocks += _curve(content) + _parameters(content)
+        blocks.append(BulletListBlock("Reasons for this plan", content.reasons))
+    blocks += _tolerance_tables(content) + _reflector_changes_table(content) + changed
+    blocks += _trade_off_picture(content) + _parameter_picture(content)
     blocks += table_block("Expected by the paper's criteria", content.table("expected"))
-    blocks += undetermined("Not determined by this layout", content.undetermined)
-    blocks += _effects(content)
+    blocks += undetermined_table("Not determined by this layout", content.undetermined)
+    blocks += _effect_tables(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
     points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
-        blocks.append(BulletList("Bodies in the hall", content.bodies))
+        blocks.append(BulletListBlock("Bodies in the hall", content.bodies))
     blocks.append(CodeBlock("Settings of the plan", content.settings.model_dump_json(indent=1)))
-    good = mood(not content.broken_rules and content.reached is not False)
+    good = assessment_of(not content.broken_rules and content.reached is not False)
     return Section(
-        title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
-        facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
-        instrument=of_presets([scenario]) if scenario else "", measured="planned",
+        title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=good,
+        key_figures=_key_figures(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
+        instrument=tracker_presets_text([scenario]) if scenario else "", measured_on="planned",
         axes="the workshop's",
     )  # fmt: skip
 
 
-def _tolerances(content: Plan) -> list[Block]:
+def _tolerance_tables(content: Plan) -> list[Block]:
     """Tables of points against their tolerances, and after the loss of a station or sight."""
     asked = content.table("tolerances")
     if not asked.rows:
         return []
     level = content.settings.goal.level_pct
     over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
-    blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
+    blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked_rows=over)]
     return [*blocks, *table_block("Loss of a station or a sight", content.table("losses"))]
 
 
-def _changes(content: Plan) -> list[Block]:
+def _reflector_changes_table(content: Plan) -> list[Block]:
     """Table of the reflectors to move, to add and to omit."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
-        return [Note(title, content.changes_tried)] if content.changes_tried else []
+        return [NoteBlock(title, content.changes_tried)] if content.changes_tried else []
     return [*table_block(title, changes, note=content.changes_tried)]
 
 
-def _facts(content: Plan) -> list[Fact]:
+def _key_figures(content: Plan) -> list[KeyFigure]:
     facts = [
-        Fact("stations", str(len(content.stations))),
-        Fact("pointings", str(content.pointings)),
-        Fact("work", duration(3600.0 * content.hours)),
+        KeyFigure("stations", str(len(content.stations))),
+        KeyFigure("pointings", str(content.pointings)),
+        KeyFigure("work", duration_text(3600.0 * content.hours)),
     ]
     if content.reached is not None:
-        facts.insert(0, Fact("goal", "reached" if content.reached else "not reached", mood(content.reached)))
-    facts += [Fact("broken rule", rule, "bad") for rule in content.broken_rules]
+        facts.insert(
+            0, KeyFigure("goal", "reached" if content.reached else "not reached", assessment_of(content.reached))
+        )
+    facts += [KeyFigure("broken rule", rule, "bad") for rule in content.broken_rules]
     for name, value in content.quality.items():
         if value is not None:
-            label, factor = QUALITY.get(name, (name, 1.0))
+            label, factor = QUALITY_MEASURES.get(name, (name, 1.0))
             other = content.reference.quality.get(name) if content.reference else None
-            better = "plain" if other is None else mood(value <= other)
+            better = "plain" if other is None else assessment_of(value <= other)
             text = number_text(factor * value) + (f" (was {number_text(factor * other)})" if other else "")
-            facts.append(Fact(label, text, better))
+            facts.append(KeyFigure(label, text, better))
     return facts
 
 
-def _pictures(content: Plan, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
+def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: bool) -> tuple[list[Block], list[Block]]:
     """Floor plan and 3D view of the plan's scenario, and the changes of reflectors on the floor plan."""
     if scenario is None:
         return [], []
-    from ltsim.reports.workshop import from_scenario
+    from ltsim.reports.workshop import workshop_from_scenario
 
-    workshop = from_scenario(scenario)
+    workshop = workshop_from_scenario(scenario)
     reference = content.reference.stations if content.reference else ()
     places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
@@ -116,18 +118,18 @@ def _pictures(content: Plan, scenario: Scenario | None, *, turn: bool) -> tuple[
     ground = content.settings.floor
     floor = figures.floor_plan
     drawn: list[Block] = [
-        Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
+        PictureBlock("Floor plan", lambda: floor.floor_plan(workshop, reference=places, floor=ground), text)
     ]
-    drawn += [scene(workshop)] if turn else []
+    drawn += [scene_block(workshop)] if has_3d_view else []
     text = "Numbers are those of the table; an arrow starts at the present place of a reflector."
-    changes = partial(figures.floor_plan.reflector_changes, workshop, content.reflector_changes, ground)
-    return drawn, [Picture("Places of these reflectors", changes, text)] if content.reflector_changes else []
+    changes = partial(figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, ground)
+    return drawn, [PictureBlock("Places of these reflectors", changes, text)] if content.reflector_changes else []
 
 
-def _curve(content: Plan) -> list[Block]:
+def _trade_off_picture(content: Plan) -> list[Block]:
     text = "Each dot is the best layout for one number of stations, faces and rounds."
     blocks: list[Block] = [
-        Picture(f"Time against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
+        PictureBlock(f"Time against quality: {name}", partial(figures.parameters.trade_off_figure, content, name), text)
         for name, value in content.quality.items()
         if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
@@ -138,20 +140,20 @@ def _curve(content: Plan) -> list[Block]:
     return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown, note=note)]
 
 
-def _parameters(content: Plan) -> list[Block]:
+def _parameter_picture(content: Plan) -> list[Block]:
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
     figure = partial(figures.parameters.sigma_figure, rows, other)
-    return [Picture("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
+    return [PictureBlock("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
 
 
-def _effects(content: Plan) -> list[Block]:
+def _effect_tables(content: Plan) -> list[Block]:
     """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
     note = "Fraction of the signature of the first effect that the second one explains."
     blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.silent:
-        blocks.append(BulletList("Undetectable effects", content.silent))
+        blocks.append(BulletListBlock("Undetectable effects", content.silent))
     return blocks

@@ -1,4 +1,4 @@
-"""Built-in scenarios: their names and files, without importing their reader."""
+"""Built-in scenarios: names and files, available without the import of the scenario reader."""
 
 import difflib
 from importlib.resources import files

@@ -25,7 +25,7 @@ def written(path: Path, bench: BenchTest, seed: int) -> Path:
     record = measure_bench(bench, seed)
     lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
     rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
-    path.write_text(BENCH_TABLE.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
+    path.write_text(BENCH_TABLE.with_rows([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
     return path
 
 

@@ -18,7 +18,7 @@ from ltsim.adjustment.fieldcheck.check import best_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
 from ltsim.adjustment.fieldcheck.words import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
-from ltsim.cli.check import changes, follow, mpe_of
+from ltsim.cli.check import mpe_of, wait_for_changes, watch_recording
 from ltsim.cli.main import run
 from ltsim.cli.options import ReadingOptions
 from ltsim.cli.terminal import Terminal
@@ -30,7 +30,7 @@ from ltsim.physics.model.construction import misalignment_construction, steering
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.setup import Instrument, Station
 from ltsim.reports.figures.points import check_figure
-from ltsim.reports.style import svg
+from ltsim.reports.style import svg_text
 from tests.families import family
 from tests.networks import drawn, network
 
@@ -385,7 +385,7 @@ def test_a_growing_recording_is_followed(dialect: str, capsys: pytest.CaptureFix
             file.write_text(text[: ends[pointings] + 1] + "S1,T"[: pointings % 5])
             yield
 
-    follow(Terminal(), lambda: check(ReadingOptions().of(place, growing=True)), steps())
+    watch_recording(Terminal(), lambda: check(ReadingOptions().read(place, is_growing=True)), steps())
     told = capsys.readouterr()
     assert told.err.count("waiting: no station measured a target twice") == 1
     assert "incomplete" not in told.err and "never measured" not in told.err
@@ -407,7 +407,7 @@ def test_changes_of_files_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             file.write_text("12")
 
     monkeypatch.setattr("ltsim.cli.check.time.sleep", nap)
-    steps = changes(file)
+    steps = wait_for_changes(file)
     next(steps)
     next(steps)
     assert len(naps) == 3
@@ -420,8 +420,8 @@ def test_every_page_of_the_figure() -> None:
         repeat=np.repeat([1, 2], 28),
         time=np.arange(56.0),
     )
-    assert "no target was measured on both faces" not in svg(check_figure(check(visits(3, stations=2))))
-    assert svg(check_figure(check(twice)))
+    assert "no target was measured on both faces" not in svg_text(check_figure(check(visits(3, stations=2))))
+    assert svg_text(check_figure(check(twice)))
 
 
 @pytest.mark.long

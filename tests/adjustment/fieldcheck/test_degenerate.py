@@ -95,7 +95,8 @@ def agreed(way: Break, seed: int) -> str:
         assert way is on_a_line
         assert "hardly determine its pose" in doubt
         assert "hardly determine its pose" in calibrate_network(broken, recommend_measurements=False).verdict.sentence
-        assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
+        cause = doubt.partition("(curvature")[0]  # noise that a check finds too large curves the line more
+        assert any(item.sentence.startswith(cause) and not item.passed for item in check(broken).items)
         return doubt
     assert words(lambda r: calibrate_network(r, recommend_measurements=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment import adjust
 from ltsim.core.arrays import Ints
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
@@ -76,7 +77,7 @@ def index_at_a_station(size: float) -> tuple[Recording, Place]:
 def moved_target(size: float) -> tuple[Recording, Place]:
     """A target that stood elsewhere when the last two stations measured it."""
     recording = workshop()
-    sightings = lt.adjust(recording).adjusted.sightings
+    sightings = adjust(recording).sightings
     late = (recording.station >= 3) & (recording.target == recording.targets.index("T07"))
     displacement = late[:, None] * np.array([0.6, 0.5, -0.62]) * size
     changed = recording.readings + exact_target_change(sightings, displacement)

@@ -27,7 +27,7 @@ from ltsim.adjustment.remedies.remedy import (
 )
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
-from ltsim.diagnosis.detectability import open_question
+from ltsim.diagnosis.detectability import ambiguous_explanations
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.objective import d_criterion
@@ -97,7 +97,7 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
         grown = remedy.network.recording
         assert grown.time[count:].min() > (last if k < len(later) else grown.time[0])
         assert remedy.duration >= (len(grown) - count) * 15 - 1
-        assert grown.measured[count:].all()
+        assert grown.is_measured[count:].all()
         assert np.array_equal(grown.readings[:count], network.recording.readings, equal_nan=True)
 
 
@@ -184,7 +184,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
     recording, _ = simulate(made, 3)
     found = diagnose(recording)
-    between, beside = open_question(found)
+    between, beside = ambiguous_explanations(found)
     assert between
     asked = next(f for f in found.findings if f.effect == between[0])
     planned = rank_next_measurements(recording, explanations=between, with_effects=beside)

@@ -16,10 +16,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects import BASELINE, CATALOGUE
-from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
+from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
 from tests.networks import drawn, network
@@ -31,25 +31,31 @@ class Search:
     def __init__(self, faces: int) -> None:
         recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
         self.space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
-        self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
+        self.noise = NoiseBank.from_space(self.space, noise_hypotheses(self.space.sightings))
+        self.detection: Detection = detect(Searcher(self.space, 0, MIN_SIMULATED_RECORDINGS), self.noise)
 
     def families(self) -> Iterator[list[Effect]]:
-        """All places and shapes of each effect beyond the ordinary calibration."""
-        ordinary = {type(effect) for effect in BASELINE}
+        """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
+        ordinary = {type(effect) for effect in BASELINE_EFFECTS}
         for kind in CATALOGUE:
-            places = [] if kind in ordinary else list(kind.candidates(self.space.sightings))
+            shifts = kind not in ordinary and not issubclass(kind, NoiseEffect)
+            places = list(kind.candidates(self.space.sightings)) if shifts else []
             if places:
                 yield places
 
     def shift(self, places: list[Effect]) -> Floats | None:
-        """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none."""
+        """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none.
+
+        The same holds for an effect on data that the network lacks.
+        """
         seen = detectability_at_places(self.space, places)
-        assert seen is not None
+        if seen is None:
+            return None
         row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
         if not np.isfinite(row.median_size):
             return None
-        for effect, sizes in zip(select_places(places), seen.minimal_sizes, strict=True):
+        acting = [effect for effect in select_places(places) if self.space.whitened_signature(effect).any()]
+        for effect, sizes in zip(acting, seen.minimal_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
                 column = self.space.whitened_signature(effect)[:, names.index(row.parameter)]
@@ -60,14 +66,14 @@ class Search:
         """Share of recordings with it whose search is above the threshold."""
         white = stream(11, "power").standard_normal((self.space.n_rows, trials))
         residual = self.space.project(white) + shift[:, None]
-        usual = NullEnsemble.of
+        usual = NullEnsemble.from_space
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
             patch.setattr(
                 NullEnsemble,
-                "of",
+                "from_space",
                 staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
-            scored = Searcher(self.space, 0).first.null
+            scored = Searcher(self.space, 0).empty_model_screening.null_statistics
         statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
         return float(np.mean(statistic > self.detection.threshold(GLOBAL_LEVEL)))
 

@@ -19,7 +19,7 @@ from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.beam_tilt import BeamTilt
 from ltsim.physics.effects.catalogue import (
     BUILTIN_ORIGIN,
-    CARD_SECTIONS,
+    DOCSTRING_SECTIONS,
     PACKAGE_EFFECTS_GROUP,
     Catalogue,
     CatalogueEntry,
@@ -86,7 +86,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (made("Cold"), "lower-case words"),
         (made("cold", parameters=()), "lacks a stage or parameters"),
         (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is not in um, mm"),
-        (made("cold", CARD.replace("Valid: in winter.\n", "")), "a card has the parts Size, Like"),
+        (made("cold", CARD.replace("Valid: in winter.\n", "")), "the sections Size, Like"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],
 )
@@ -114,9 +114,9 @@ def test_an_entry_point_that_fails_is_named() -> None:
 def test_a_card_is_read_by_its_parts() -> None:
     card = CatalogueEntry.from_docstring(CARD)
     assert (card.title, card.cause_description, card.equation) == ("Cold", "it is cold", "Delta_d = c.")
-    assert card.sections()[2] == (CARD_SECTIONS[2], "a stove.")
+    assert card.sections()[2] == (DOCSTRING_SECTIONS[2], "a stove.")
     for broken in (CARD.replace("Cold: ", "Cold, "), CARD.replace("Like", "Alike"), CARD.replace("Delta_d = c.\n", "")):
-        with pytest.raises(ModelError, match=r"card"):
+        with pytest.raises(ModelError, match=r"docstring"):
             CatalogueEntry.from_docstring(broken)
 
 

@@ -36,7 +36,7 @@ CASES = [
 @pytest.mark.parametrize(("signature", "values"), CASES)
 def test_derivatives_at_large_values_are_those_of_the_change(signature: Signature, values: np.ndarray) -> None:
     here = sightings()
-    found = signature.linearised(here, values)
+    found = signature.linearise(here, values)
     assert np.array_equal(found.shift, signature.reading_change(here, values))
     for k, step in enumerate(np.eye(len(values)) * STEP):
         change = signature.reading_change(here, values + step) - signature.reading_change(here, values - step)
@@ -57,5 +57,5 @@ def test_displaced_reflectors_are_computed_once(monkeypatch: pytest.MonkeyPatch)
     whole = TargetMoved.displacement
     monkeypatch.setattr(TargetMoved, "displacement", lambda self, s: calls.append(1) or whole(self, s))
     signature, values = CASES[0]
-    signature.linearised(sightings(), values)
+    signature.linearise(sightings(), values)
     assert len(calls) == 1

@@ -17,14 +17,14 @@ from typing import Any
 import pytest
 
 from ltsim.reports.board import server
-from ltsim.reports.board.board import Board
-from ltsim.reports.board.server import MAX_BYTES, MAX_CONNECTIONS, BoardAccess
+from ltsim.reports.board.board import MovableLayout
+from ltsim.reports.board.server import MAX_BODY_BYTES, MAX_CONNECTIONS, PlannerRequests
 from tests.planning.test_hall import HALL, points_csv
 from tests.reports.browser import FLAGS, find_browser
 
 START = (
     "import signal; signal.signal(2, signal.default_int_handler); from ltsim.reports.board import server; "
-    "server.PATIENCE = server._Handler.timeout = 1.5; from ltsim.cli.main import main; main()"
+    "server.PATIENCE = server._RequestHandler.timeout = 1.5; from ltsim.cli.main import main; main()"
 )
 
 
@@ -88,7 +88,10 @@ def board(hall: Path) -> Iterator[Open]:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     _, _, place, token, _ = process.stdout.readline().strip().split("/")
-    stations = [{"name": s["name"], "mm": s["mm"], "yaw": s["yaw"]} for s in Board.of(hall).hall()["stations"]]
+    stations = [
+        {"name": s["name"], "mm": s["mm"], "yaw": s["yaw"]}
+        for s in MovableLayout.from_plan(hall).hall_json()["stations"]
+    ]
     yield Open(int(place.partition(":")[2]), token, folder, stations)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
@@ -224,7 +227,7 @@ def test_a_body_that_makes_no_sense_is_a_problem_and_the_board_goes_on(kind: str
         "Content-Length: 1_0",
         "Content-Length: \u0663",
         "Content-Length: 1e3",
-        f"Content-Length: {MAX_BYTES + 1}",
+        f"Content-Length: {MAX_BODY_BYTES + 1}",
         f"Content-Length: {'9' * 5000}",
         "Content-Length: 2\r\nContent-Length: 3",
         "Transfer-Encoding: chunked",
@@ -276,13 +279,13 @@ def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
 
 
 def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    access = BoardAccess(Board.of(hall), tmp_path / "out")
+    access = PlannerRequests(MovableLayout.from_plan(hall), tmp_path / "out")
 
     def broken(*_: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(access, "answer", broken)
-    answer = server._answered(access, "POST", f"/{access.token}/judged", b"")
+    monkeypatch.setattr(access, "respond", broken)
+    answer = server._respond_or_report(access, "POST", f"/{access.token}/judged", b"")
     assert answer.status == 500
     assert json.loads(answer.content)["problem"].startswith("internal error of ltsim (IndexError: nobody expects this)")
 

@@ -1,0 +1,98 @@
+"""Assembly of the result of a diagnosis from an explained recording."""
+
+from collections.abc import Sequence
+
+from ltsim.adjustment import Adjustment
+from ltsim.adjustment.identification import CauseSelection, cause_tests
+from ltsim.adjustment.refit import Refit
+from ltsim.core.arrays import Floats
+from ltsim.diagnosis.averaging import average_over_explanations
+from ltsim.diagnosis.detectability import DetectabilityReport
+from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArrays
+from ltsim.diagnosis.findings import ExplainedRecording, noise_finding
+from ltsim.diagnosis.held_out import HeldOutErrors
+from ltsim.diagnosis.instruments import instrument_entries
+from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
+from ltsim.diagnosis.words import MIN_PROBABLE, diagnosis_summary
+from ltsim.physics.effects.noise_level import NoiseLevel
+from ltsim.recordings.result_file import SourceEntry
+
+MAX_REPORTED_FINDINGS = 5
+"""Largest number of reported findings, blunders and constants first."""
+
+
+def assemble_diagnosis(
+    source: SourceEntry,
+    explained: ExplainedRecording,
+    detectability: DetectabilityReport,
+    certain_findings: Sequence[Finding],
+    final_adjustment: Adjustment,
+    errors: HeldOutErrors,
+    selection: CauseSelection | None,
+    *,
+    mismatch: bool,
+) -> Diagnosis:
+    """Diagnosis from the explained model, and from findings of tests (`certain_findings`), which need no search."""
+    case, model, detection = explained.state, explained.model, explained.detection
+    baseline, adjusted = case.baseline, explained.refit.adjustment
+    shifts = [
+        explained.finding(i) for i, finding in enumerate(model.members) if finding.key not in explained.withheld_keys
+    ]
+    clock = case.recording.has_clock
+    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
+    sure = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
+    alone = not certain_findings and all(finding.effect == NoiseLevel.name for finding in sure)
+    likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
+    likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
+    room = max(MAX_REPORTED_FINDINGS - len(certain_findings), 0)
+    findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
+    before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
+    if model.members or case.noise:
+        dof = baseline.dof - model.basis.shape[1]
+        after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
+    verdict = "mismatch" if mismatch or certain_findings else "consistent"
+    detectable, undetectable = detectability
+    return Diagnosis.from_arrays(
+        DiagnosisArrays(
+            *_averaged_targets_and_change(explained, shifts, noises),
+            case.expected_variance_factors(model.effects),
+            baseline,
+            adjusted,
+        ),
+        recording=source,
+        verdict=verdict,
+        summary=diagnosis_summary(
+            verdict,
+            findings,
+            detection.p_value,
+            before,
+            after,
+            withheld=len(explained.withheld_keys) + len(likely[room:]),
+        ),
+        global_test=GlobalTest(
+            statistic=baseline.chi2,
+            dof=baseline.dof,
+            p_value=detection.chi2_p_value,
+            search_p_value=detection.p_value,
+        ),
+        findings=tuple(findings),
+        fit=BeforeAfter(before=before, after=after),
+        undetectable=undetectable,
+        detectable=tuple(map(DetectableEntry.from_minimal_size, detectable)),
+        instruments=instrument_entries(final_adjustment),
+        tests=() if selection is None else cause_tests(selection),
+    )
+
+
+def _averaged_targets_and_change(
+    explained: ExplainedRecording, shifts: Sequence[Finding], noises: Sequence[Finding]
+) -> tuple[AveragedTargets, Floats]:
+    """Targets and difference of the change of the readings (n, 3), averaged over explanations.
+
+    The targets are those of the calibration if no cause is more probable than not.
+    """
+    case = explained.state
+    targets, change = average_over_explanations(case.searcher, explained.model, explained.rankings, explained.refit)
+    if not any(finding.evidence.p_real >= MIN_PROBABLE for finding in (*shifts, *noises)):
+        targets, _ = average_over_explanations(case.searcher, case.empty_model, (), Refit(case.baseline, (), ()))
+    return targets, change

@@ -1,0 +1,32 @@
+"""Scope of a finding: observables, stations, targets, instruments and covariates of an effect."""
+
+from ltsim.diagnosis.schema import FindingScope
+from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import covariate_file_names
+from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.recordings.recording import OBSERVABLES
+
+
+def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
+    """Scope of an effect; `carrying_observables` are the observables if the effect itself does not specify them."""
+    observables, stations = tuple(effect.observables), effect.stations
+    if isinstance(effect, NoiseEffect | VarianceFunction):
+        observables = carrying_observables or observables
+    instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
+    if isinstance(effect, EmpiricalLaw):
+        stations = () if effect.is_per_setup else stations
+        observables = effect.response.observables or carrying_observables or observables
+    return confined_scope(
+        observables=() if set(observables) == set(OBSERVABLES) else observables,
+        stations=() if instruments else stations,
+        targets=effect.targets,
+        instruments=instruments,
+        covariates=covariate_file_names(effect.covariates),
+    )
+
+
+def confined_scope(**confined: tuple[str, ...]) -> FindingScope:
+    """Scope confined to the given kinds, the others empty."""
+    return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | confined)

@@ -1,0 +1,123 @@
+"""Comparison of the injected effects of a simulated recording with its diagnosis, in a report."""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+
+from ltsim.core.errors import LtsimError
+from ltsim.core.notation import MISSING_TEXT, number_text, with_sigma
+from ltsim.core.results import Table, texts
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import Finding
+from ltsim.diagnosis.words import effect_text, parameter_text
+from ltsim.physics.effects import title_of
+from ltsim.physics.effects.verbs import make_effect
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.reports import figures
+from ltsim.reports.document import Block, PictureBlock, table_block
+from ltsim.reports.residuals import OBSERVABLE_UNITS
+from ltsim.reports.sections.network import AdjustmentPair
+from ltsim.reports.words import listing, typographic_text
+from ltsim.simulation.truth import AppliedEffect, Truth
+
+INJECTED_TABLE = Table(
+    "injected.csv",
+    "injected effects of a simulated recording, and the findings",
+    texts(quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"),
+)
+"""Table of injected effects and findings."""
+
+
+def effect_place_text(effect: Any) -> str:
+    """Stations and targets of an effect as text."""
+    return listing([*effect.stations, *effect.targets]) or "everywhere"
+
+
+def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
+    """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
+    named = {a.effect.name: a for a in truth.applied_effects}
+    ordered = [named.get(f.effect) for f in content.findings]
+    ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
+    rows = [
+        row
+        for injected, finding in zip_longest(ordered, content.findings)
+        for row in _injected_and_finding_rows(injected, finding)
+    ]
+    note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
+    table = table_block("Injected and diagnosed", INJECTED_TABLE.with_rows(rows), note=note)
+    return [*_injected_and_estimated_curves(content, truth.applied_effects[0], adjustments), *table]
+
+
+def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
+    """Rows of an injected effect and its finding: effect, place, values, shape constants."""
+    true: dict[str, tuple[float | None, str]] = {}
+    if injected is not None:
+        sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
+        true = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
+        true |= {
+            s.name: (getattr(injected.effect, s.name) / SI_PER_UNIT[s.unit], s.unit)
+            for s in injected.effect.shape_parameters
+        }
+    values = {} if finding is None else {p.name: p for p in finding.parameters}
+    where = [
+        effect_place_text(x) if x else MISSING_TEXT for x in (injected and injected.effect, finding and finding.where)
+    ]
+    rows = [
+        [
+            "effect",
+            title_of(injected.effect.name) if injected else MISSING_TEXT,
+            effect_text(finding.effect) if finding else "not detected",
+        ],
+        ["where", *where],
+    ]
+    for name in dict.fromkeys([*true, *values]):
+        estimate = values.get(name)
+        value, unit = true.get(name, (None, estimate.unit if estimate else ""))
+        text = with_sigma(estimate.value, estimate.sigma) if estimate else MISSING_TEXT
+        rows.append([f"{parameter_text(name)} [{unit}]" if unit else parameter_text(name), number_text(value), text])
+    return rows
+
+
+def _injected_and_estimated_curves(
+    content: Diagnosis, applied: AppliedEffect, adjustments: AdjustmentPair | None
+) -> list[Block]:
+    finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
+    if adjustments is None or finding is None:
+        return []
+    estimates, sightings, injected = (
+        {p.name: p.value for p in finding.parameters},
+        adjustments[1].sightings,
+        applied.effect,
+    )
+    try:
+        shape = {s.name: estimates[s.name] for s in injected.shape_parameters if s.name in estimates}
+        effect = make_effect(
+            injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
+        )
+        values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
+        true, fitted = (
+            injected.reading_change(sightings, applied.parameter_values),
+            effect.reading_change(sightings, values),
+        )
+    except LtsimError:
+        return []
+    column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
+    rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
+    unit = OBSERVABLE_UNITS[observable]
+    far = "distance" in injected.covariates
+    at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
+    hid, got = (shift[rows, column] / SI_PER_UNIT[unit] for shift in (true, fitted))
+    names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typographic_text(unit)}]"
+    cause = f"{title_of(injected.name)} ({effect_place_text(injected)})"
+    text = f"Change of the {observable} readings by {cause}: injected and estimated."
+    return [
+        PictureBlock(
+            "Injected and estimated",
+            lambda: figures.residuals.injected_and_estimated_figure(at, hid, got, *names),
+            text,
+        )
+    ]
