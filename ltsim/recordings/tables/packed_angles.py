@@ -32,7 +32,7 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     every = np.concatenate(list(numbers.values()))
     if not _are_packed(every):
         return table
-    table.pointings.numbers |= {role: _unpacked(digits) for role, digits in numbers.items()}
+    table.pointings.numbers |= {role: _unpacked_degrees(digits) for role, digits in numbers.items()}
     table.columns = [replace(c, unit="deg") if c in columns else c for c in table.columns]
     table.notes.append(
         f"the angles in {_titles(columns)} are interpreted as ddd.mmss: all {len(every)} have minutes and seconds "
@@ -47,7 +47,7 @@ def _are_packed(digits: Digits) -> bool:
     return len(distinct) >= MIN_PACKED_CELLS and all(cells.parse_packed_degrees(text) is not None for text in distinct)
 
 
-def _unpacked(digits: Digits) -> Digits:
+def _unpacked_degrees(digits: Digits) -> Digits:
     """Degrees with decimals of packed angles; empty cells stay empty."""
     return to_digits([str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()])
 
