@@ -147,9 +147,12 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     ]
     confined = [other for hypothesis in made for other in _forms_with_ratio(calculator, hypothesis, base_model)]
     evidence = form.log_evidence - form.log_prior
-    equal = [h for h in confined if abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE]
     same = [
-        replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior) for h in equal
+        replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior)
+        for h in confined
+        if isinstance(h.effect, EmpiricalLaw)
+        and h.effect.regressor == law.regressor.centred_on(law.targets)
+        and abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE
     ]
     return same[:1] or [form, *confined]
 
