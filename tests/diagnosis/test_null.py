@@ -47,7 +47,7 @@ def test_family_means_do_not_depend_on_the_batches() -> None:
     rng = stream(7, "families")
     family, values = rng.integers(0, 4, 50), 30.0 * rng.standard_normal((50, 6))
     family[:4] = np.arange(4)
-    means = FamilyMeans.of(family, 4, 6)
+    means = FamilyMeans.without_effects(family, 4, 6)
     for members in np.split(rng.permutation(50), [3, 20, 21]):
         means.add(members, values[members])
     np.testing.assert_allclose(means.log_means, log_means_by_group(values, family, 4), rtol=1e-12)
