@@ -38,10 +38,10 @@ class NullEnsemble:
     Attributes
     ----------
     space : ResidualSpace
-    vectors : (m, 1 + t + u) float32
+    probe_vectors : (m, 1 + t + u) float32
         Residual of the model; residuals of t simulated recordings, by which a search is judged; orthonormal basis of
         the estimated parameters, or with `gram_is_monte_carlo` further simulated residuals.
-    n_trials : int |
+    n_trials : int
         Number t of simulated recordings; 0 where the search is not judged.
     model_basis : (m, e) float
         Orthonormal basis of the model.
