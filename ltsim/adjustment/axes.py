@@ -10,7 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from scipy import special
 
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.start import initial_network
@@ -32,6 +34,12 @@ MAX_RELATIVE_MISCLOSURE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).
 """
+SCALE_LEVEL = 1e-3
+"""Significance level of a scale of declared coordinates against the measured lengths (F-test, one degree of freedom):
+coordinates of a drawing scatter, but do not grow with their distance from the centroid.
+"""
+MIN_SCALED_TARGETS = 3
+"""Number of targets whose coordinates determine a scale."""
 NO_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty table of axes: every declared coordinate is used."""
 
@@ -54,6 +62,27 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
     if recording.setup.curved:
         recording = _with_plumb_lines(recording, common, there)
     return _with_datum(recording, {name: points[name] for name in common}, source=source)
+
+
+def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
+    """Scale of the coordinates that define the axes against the measured lengths, less 1, and its standard deviation.
+
+    The residuals of the coordinates determine both; None if the scale is not significant.
+    """
+    used = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
+    if len(used) < MIN_SCALED_TARGETS:
+        return None
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
+    column = (places - places.mean(axis=0)).ravel()
+    residuals = np.array([test.residual for test in used])
+    residual = (residuals - residuals.mean(axis=0)).ravel()
+    scale = float(column @ residual / (column @ column))
+    dof = residual.size - 7  # six motions and the scale
+    variance = float(np.sum((residual - scale * column) ** 2)) / dof
+    ratio = scale**2 * float(column @ column) / max(variance, np.finfo(float).tiny)
+    if special.fdtrc(1, dof, ratio) > SCALE_LEVEL:
+        return None
+    return scale, float(np.sqrt(variance / (column @ column)))
 
 
 def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:

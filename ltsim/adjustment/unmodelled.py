@@ -6,6 +6,7 @@ is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use th
 """
 
 import numpy as np
+import scipy.sparse as sp
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
@@ -14,7 +15,7 @@ from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_change_per_kelvin
 from ltsim.recordings.air import AirUncertainty
-from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, weight_rows
+from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, to_dense, weight_rows
 
 TEMPERATURE_ERROR = "temperature of the air"
 """Name of the error of the air's temperature in a budget."""
@@ -135,14 +136,15 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
     """Right-hand sides (u, q) by the temperature and gradient of each station, and the matrix A' S A of turbulence."""
     common, station = _temperature_and_gradient_shifts(adjustment, air)
     turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
-    stations, right, turbulent = np.unique(station), [], []
+    stations, place = np.unique(station, return_inverse=True)
+    columns, rows = np.stack([place, len(stations) + place]).ravel(), np.tile(np.arange(len(station)), 2)
+    shifts = sp.csr_array((common.ravel(), (rows, columns)), (len(station), 2 * len(stations)))
+    turbulent = []
     for first in range(0, len(station), ROWS_PER_PIECE):
         piece = slice(first, first + ROWS_PER_PIECE)
-        mine = np.where(station[piece] == stations[:, None], common[:, None, piece], 0.0)
-        right.append(design[piece].T @ mine.reshape(-1, mine.shape[2]).T)
         scattered = weight_rows(design[piece], turbulence[piece])
         turbulent.append(scattered.T @ scattered)
-    return np.asarray(sum(right)), sum(turbulent)
+    return to_dense(design.T @ shifts), sum(turbulent)
 
 
 def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:

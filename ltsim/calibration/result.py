@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.axes import scale_of_declared_axes
 from ltsim.adjustment.datum import motions_about_centre
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteria
 from ltsim.adjustment.frame import DeclaredFrame
@@ -31,7 +32,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
-from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.geometry.rotations import quaternion_from_matrix
 from ltsim.physics.effects.motions import exact_target_change
@@ -246,6 +247,10 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
         f"coordinates in the axes of {source}: {len(used)} targets fit it within {within:.3g} mm, which leaves "
         f"the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
     )
+    scale = scale_of_declared_axes(adjustment)
+    if scale is not None:
+        amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
+        sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
     return (f"{sentence}; excluded from the datum: {listing(out)}" if out else sentence,)
 
 

@@ -168,7 +168,10 @@ class CatalogueSignatures:
         The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced, because
         the difference of an estimate and an exact value may vanish.
         """
-        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.n_trials))
+        values, chance = (
+            np.zeros(len(self.effects)),
+            FamilyMeans.empty(self.family_of_effect, len(self.families), probe.n_trials),
+        )
         for group in self.groups:
             for part in group.parts(probe.probe_vectors.shape[1]):
                 scores = group.weighted_products(part, probe.probe_vectors)
@@ -183,8 +186,8 @@ class CatalogueSignatures:
                 members = group.members[part]
                 values[members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
                 if probe.n_trials:
-                    chance[members] = simulated_log_evidence(turn @ trials, strength)
-        return values, self.family_evidence(chance)
+                    chance.add(members, simulated_log_evidence(turn @ trials, strength))
+        return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
         """Effects of each family, without the constants of the ordinary calibration."""
@@ -197,6 +200,34 @@ class CatalogueSignatures:
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, from that of each effect (h, ...)."""
         return log_means_by_group(values, self.family_of_effect, len(self.families)) if self.effects else values
+
+
+@dataclass(frozen=True)
+class FamilyMeans:
+    """Log means of the evidence of each family in each trial, from batches of its members.
+
+    `family` (h,) is that of each effect, `sums` (families, trials) are log sums so far.
+    """
+
+    family: Ints
+    sums: Floats
+
+    @classmethod
+    def empty(cls, family: Ints, count: int, trials: int) -> FamilyMeans:
+        """Means of no effect yet."""
+        return cls(family, np.full((count, trials), -np.inf))
+
+    def add(self, members: Ints, values: Floats) -> None:
+        """Addition of the log evidence (k, trials) of some effects (k,)."""
+        present, group = np.unique(self.family[members], return_inverse=True)
+        means = log_means_by_group(values, group, len(present))
+        means += np.log(np.bincount(group))[:, None]
+        self.sums[present] = np.logaddexp(self.sums[present], means)
+
+    @property
+    def log_means(self) -> Floats:
+        """Log mean (families, trials) over the members of each family."""
+        return self.sums - np.log(np.bincount(self.family, minlength=len(self.sums)))[:, None]
 
 
 def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:

@@ -115,6 +115,7 @@ def diagnose(
     if selection is not None and model.members:
         restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
+            del case, beginning, detection, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
             beginning, detection, model, fitted = _search_recording(case, level, compared)

@@ -41,6 +41,11 @@ MAX_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
 
+def min_promising_evidence(best: float) -> float:
+    """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
+    return 0.5 * best - 5.0
+
+
 def evaluate_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
 ) -> list[Hypothesis]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.calibration.evidence import log_evidence_by_size, log_sum_exp, size_weights_and_constants
+from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import MAX_SCREENED_EVIDENCE_TIE, simulated_log_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
@@ -155,7 +155,7 @@ class LawBatch:
     weights: Singles
     columns: RegressorColumns
     log_prior: Floats
-    _quadratic_forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
+    _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
@@ -195,15 +195,13 @@ class LawBatch:
         null = np.full((1, probe.n_trials), -np.inf)
         if probe.is_first_pass:
             turned = self._eigen_decomposition(probe.projected_gram(scores, self._gram_matrices(columns)), part)
-            self._quadratic_forms[part.start] = [
-                (size_weights_and_constants(strength), turn) for strength, turn in turned
-            ]
+            self._quadratic_forms[part.start] = turned
             if probe.n_trials:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_sum_exp(log_evidence_by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
-            for forms, turn in self._quadratic_forms[part.start]
+            log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
+            for strength, turn in self._quadratic_forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 

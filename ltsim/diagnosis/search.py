@@ -29,7 +29,7 @@ from ltsim.diagnosis.evidence import (
     ranked_indices,
 )
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.forms import evaluate_forms
+from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, score_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
@@ -267,7 +267,7 @@ class Searcher:
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._n_refined or kind not in kinds
-            if chosen and key not in evaluated and hit.log_evidence > _min_promising_evidence(hits[0].log_evidence):
+            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(hits[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
                 entries += evaluate_forms(
@@ -397,8 +397,3 @@ def _best_model(sets: Sequence[Model]) -> Model:
     """Model with the largest score; the first of equal ones."""
     most = max(model.score for model in sets)
     return next(model for model in sets if model.score >= most - MAX_EVIDENCE_TIE)
-
-
-def _min_promising_evidence(best: float) -> float:
-    """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
-    return 0.5 * best - 5.0

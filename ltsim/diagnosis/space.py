@@ -60,8 +60,8 @@ WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
-MAX_CACHED_COLUMN_ENTRIES = 25_000_000
-"""Largest number of entries of the columns of all regressors that stay in memory, 100 MB; computing them anew takes a
+MAX_CACHED_COLUMN_ENTRIES = 10_000_000
+"""Largest number of entries of the columns of all regressors that stay in memory, 40 MB; computing them anew takes a
 sixth of the time of a scoring.
 """
 RegressorsByKind = Mapping[str, Sequence[Regressor]]

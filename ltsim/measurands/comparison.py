@@ -98,7 +98,9 @@ class Comparison(ResultFile):
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Notes on the epochs: undetermined motions, exchanged names."""
+    """Notes on the epochs: undetermined motions, exchanged names, a motion of all points."""
+    is_rigid_motion: bool = False
+    """True if one motion of all points explains most displacements: the frames of the lists may differ."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacements, one per common point, in the order of the first recording."""
 

@@ -8,7 +8,7 @@ each is then tested with the others in the model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -18,16 +18,23 @@ import scipy.linalg
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.unmodelled import air_covariance, displacement_per_row
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, unknown_name
+from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import rigid_motion_design
-from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_rows
+from ltsim.measurands.comparison import (
+    MAX_POINTS_IN_RESULT_TEXT,
+    Comparison,
+    EpochDifference,
+    congruence_test,
+    coordinate_rows,
+)
 from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observed_sources
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
+from ltsim.recordings.tables.setups import normalised_name
 
 ALL_AXES = np.arange(3)
 """Indices of the three coordinate axes."""
@@ -79,6 +86,7 @@ def compare_coordinates(
         raise ModelError(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
+    second, renamed = _with_names_of(second, first.names)
     common = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if free else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = scaled or any(motions.shape[1] for motions in open_)
@@ -87,10 +95,51 @@ def compare_coordinates(
         _Epoch.from_coordinates(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
     )
     count = 0 if free else max(motions.shape[1] for motions in open_)
-    notes = [undetermined_motions_note(count)] if count else []
+    notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
     sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
     held = stable_points & (stable is not None)
-    return _compare_epochs(before, after, scaled, stable_points, held, level, sources, first.axis_indices, notes)
+    result = _compare_epochs(before, after, scaled, stable_points, held, level, sources, first.axis_indices, notes)
+    if is_open or len(first.axes) < len(ALL_AXES) or len(common) <= len(ALL_AXES):
+        return result
+    return _with_rigid_motion(
+        result, lambda: compare_coordinates(first, second, stable=stable, free=True, scaled=scaled, level=level)
+    )
+
+
+def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
+    """Epoch whose names are those of `names` where they differ only in case, blanks or leading zeros, and a note."""
+    spellings = {normalised_name(name): name for name in names if name not in epoch.names}
+    other = [name for name in epoch.names if name not in names]
+    normalised = [normalised_name(name) for name in other]
+    changed = {
+        name: spellings[key]
+        for name, key in zip(other, normalised, strict=True)
+        if key in spellings and normalised.count(key) == 1
+    }
+    if not changed:
+        return epoch, []
+    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()], MAX_POINTS_IN_RESULT_TEXT)
+    note = f"names that differ only in case, blanks or leading zeros are the same point: {pairs}"
+    return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
+
+
+def _with_rigid_motion(result: Comparison, compare_freely: Callable[[], Comparison]) -> Comparison:
+    """Comparison of lists in one frame, with a note if one motion of all points explains that most of them moved.
+
+    `compare_freely` compares the lists in frames of their own.
+    """
+    count = len(result.displacements)
+    if 2 * len(result.moved_points) <= count:
+        return result
+    free = compare_freely()
+    if 2 * len(free.moved_points) > count:
+        return result
+    rest = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
+    note = (
+        f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
+        f"{len(free.moved_points)} of {count} points moved{rest}"
+    )
+    return result.model_copy(update={"notes": (*result.notes, note), "is_rigid_motion": True})
 
 
 def _compare_epochs(

@@ -38,6 +38,7 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet, head_rows, read
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
+TARGETS_FILE = "targets.csv"
 MAX_ASYMMETRY = 1e-6
 """Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
 MIN_ROUNDED_EIGENVALUE = -1e-9
@@ -71,6 +72,8 @@ class PointList:
     """Line number of each point in the file."""
     n_contradictory_rows: int = 0
     """Number of rows that repeat a name with other coordinates and are ignored."""
+    max_contradiction_m: float = 0.0
+    """Largest distance [m] of an ignored row from the first one of its name."""
 
     @property
     def sigma(self) -> Floats:
@@ -174,6 +177,7 @@ class _PointRowReader:
         self.sheet.require_complete_end(self.width)
         listed: dict[str, tuple[SheetRow, list[float]]] = {}
         notes = []
+        ignored: list[tuple[list[float], list[float]]] = []
         for row in self.rows:
             if row.is_comment or not any(row.fields):
                 continue
@@ -183,6 +187,7 @@ class _PointRowReader:
                 if strict:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
+                ignored.append((listed[name][1], values))
             listed.setdefault(name, (row, values))
         if not listed:
             raise RecordError("holds no points", file=self.sheet.file)
@@ -195,7 +200,10 @@ class _PointRowReader:
         texts = {c.title: tuple(row.cell(c.position) for row, _ in listed.values()) for c in further}
         lines = tuple(row.line for row, _ in listed.values())
         covariance = _covariance(numbers, len(listed))
-        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
+        axes = [role in COORDINATE_ROLES for role in self.numbers]
+        gaps = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
+        largest = float(np.nanmax(np.linalg.norm(gaps[:, axes], axis=1), initial=0.0))
+        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes), largest)
 
     def _values(self, row: SheetRow) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN for an empty cell."""
@@ -261,8 +269,14 @@ class EpochCoordinates:
         return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 
+def _list_file(path: Path) -> Path:
+    """List of the targets in a folder of results; any other path as it is."""
+    return path / TARGETS_FILE if (path / TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
+
+
 def is_coordinate_file(path: Path) -> bool:
-    """True if `read_coordinates` reads this file."""
+    """True if `read_coordinates` reads this file, or the targets in this folder of results."""
+    path = _list_file(path)
     if not path.is_file():
         return False
     with path.open("rb") as stream:
@@ -271,15 +285,13 @@ def is_coordinate_file(path: Path) -> bool:
 
 
 def read_coordinates(path: Path) -> EpochCoordinates:
-    """Coordinates of one epoch with their covariance, from a file.
+    """Coordinates of one epoch with their covariance, from a file or a folder of results.
 
-    Raises
-    ------
-    RecordError
-        The error and its place in the file.
+    Raises RecordError, with the place in the file.
     """
     if not path.exists():
         raise RecordError("there is no such file", file=path)
+    folder, path = path, _list_file(path)
     with path.open("rb") as stream:
         is_xml = decode_head(stream.read(256)).lstrip().startswith("<")
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
@@ -293,7 +305,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_ROUNDED_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
-    return epoch
+    return epoch if folder == path else replace(epoch, title=folder.name)
 
 
 def _coordinates_from_gama(path: Path) -> EpochCoordinates:

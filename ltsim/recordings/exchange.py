@@ -18,10 +18,12 @@ from ltsim.recordings.conventions import (
 )
 from ltsim.recordings.files import decode_head, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
+from ltsim.recordings.formats.unread import UNREAD_FORMATS
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
+from ltsim.recordings.tables.cells import has_clock, is_value
 
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
@@ -29,6 +31,8 @@ HEAD_SIZE = 16_384
 """Number of bytes at the beginning of a file by which its format is recognised."""
 MIN_CONTRADICTORY_ROWS = 2
 """Number of contradictory rows from which a list of points is interpreted as positions of a moving target."""
+MAX_REPEATED_POINT_M = 1e-3
+"""Largest distance [m] between rows of one name that are repeated measurements of one point."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
@@ -65,12 +69,18 @@ def _is_list_of_points(path: Path, head: str) -> bool:
 
 def _point_list_error(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, strict=False)
-    count = len(listed.names)
-    message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    if listed.n_contradictory_rows >= max(count, MIN_CONTRADICTORY_ROWS):
-        names = "one name" if count == 1 else f"{count} names"
-        rows = f"{count + listed.n_contradictory_rows} positions under {names} ('{listed.names[0]}')"
+    count, repeated = len(listed.names), listed.n_contradictory_rows
+    names = "one name" if count == 1 else f"{count} names"
+    if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in listed.names):
+        message = f"this is a table of {count + repeated} positions without point names: a target that moves (a robot, "
+        message += "a T-MAC), and no list of points"
+    elif repeated and listed.max_contradiction_m < MAX_REPEATED_POINT_M:
+        message = f"this is a list of {count} points, measured {count + repeated} times in all, without readings"
+    elif repeated >= max(count, MIN_CONTRADICTORY_ROWS):
+        rows = f"{count + repeated} positions under {names} ('{listed.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
+    else:
+        message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
     raise RecordError(f"{message} ({more})", file=path)
 
@@ -156,6 +166,9 @@ def recognise_format(path: Path) -> FileFormat:
                 head = with_unix_line_ends(decode_head(stream.read(HEAD_SIZE)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
+    unread = next((f for f in UNREAD_FORMATS if f.pattern.match(head)), None)
+    if unread is not None:
+        raise RecordError(f"is {unread.name}, which ltsim does not read; {unread.alternative}", file=path)
     fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)

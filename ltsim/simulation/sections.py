@@ -392,10 +392,7 @@ class EffectEntry(PlacedEffect):
     @classmethod
     def from_effect(cls, effect_with_sizes: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        effect, sizes = (
-            (effect_with_sizes.effect, dict(effect_with_sizes.parameter_values))
-            if isinstance(effect_with_sizes, SizedEffect)
-            else (effect_with_sizes, {})
-        )
+        sized = effect_with_sizes if isinstance(effect_with_sizes, SizedEffect) else SizedEffect(effect_with_sizes, {})
+        effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

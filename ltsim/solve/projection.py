@@ -25,6 +25,12 @@ MAX_UNPROJECTED_OVERLAP = 1e-10
 """Largest inner product of projected unit vectors with unit columns of the design; above it they
 are projected again.
 """
+MAX_LOCAL_ROWS = 150
+"""Number of rows up to which the block of the projector on these rows is computed at once, because many vectors on the
+same rows follow.
+"""
+MAX_LOCAL_ENTRIES = 3_000_000
+"""Number of entries of all such blocks in memory, 24 MB."""
 MAX_ZERO_EIGENVALUE = 1e-12
 """Eigenvalue of a block of the hat matrix below which it counts as zero."""
 
@@ -86,6 +92,8 @@ class FactorProjection:
     """Additional columns that are removed, (m, e)."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
+    _local_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
+    """Blocks (r, r) of the projector by their rows."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorProjection:
@@ -98,8 +106,29 @@ class FactorProjection:
         return self._residual_part(rows, slice(None))
 
     def gram_matrices(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`."""
-        return _group_gram_matrices(self._residual_part(columns, rows), edges)
+        """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`.
+
+        On few rows they follow from the block of the projector on these rows.
+        """
+        block = self._local_block(rows)
+        if block is None:
+            return _group_gram_matrices(self._residual_part(columns, rows), edges)
+        projected = block @ columns
+        limits = pairwise(edges.tolist())
+        return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
+
+    def _local_block(self, rows: Ints | slice) -> Floats | None:
+        """Block (r, r) of the projector on few rows, computed once; None on many rows."""
+        if isinstance(rows, slice) or not 0 < len(rows) <= MAX_LOCAL_ROWS:
+            return None
+        key = rows.tobytes()
+        block = self._local_blocks.get(key)
+        if block is None:
+            block = self._residual_part(np.eye(len(rows)), rows)[rows]
+            block = 0.5 * (block + block.T)
+            if sum(other.size for other in self._local_blocks.values()) + block.size <= MAX_LOCAL_ENTRIES:
+                self._local_blocks[key] = block
+        return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
         """Residual part (m, q) of vectors that are zero on all but some rows."""
@@ -143,7 +172,7 @@ class FactorProjection:
 
     def with_removed_columns(self, columns: Floats) -> FactorProjection:
         """Projector that also removes orthonormal columns (m, e), as `BasisProjection.with_removed_columns`."""
-        return replace(self, added_columns=np.hstack([self.added_columns, columns]))
+        return replace(self, added_columns=np.hstack([self.added_columns, columns]), _local_blocks={})
 
 
 Projection: TypeAlias = BasisProjection | FactorProjection

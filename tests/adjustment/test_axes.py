@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,17 @@ def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording:
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) < 6 * turn)
     assert "which leaves the axes uncertain by" in rough.notes[0]
     assert lt.adjust(recording).axes is None
+
+
+def test_another_scale_of_the_coordinates_is_reported_and_noise_is_none(recording: Recording) -> None:
+    names = list(recording.targets[:8])
+    for scale, noise in ((1.0004, 1e-5), (0.9999, 3e-5), (1.0, 1e-3), (1.0, 1e-5)):
+        drawn = {name: scale * place for name, place in hall(recording, names, noise=noise).items()}
+        (note, *_) = lt.adjust(with_axes_of_points(recording, drawn, "h")).notes
+        reported = re.search(r"on a scale that differs by (\S+) \+- (\S+) ppm", note)
+        assert (reported is not None) == (scale != 1.0), note
+        if reported is not None:
+            assert float(reported[1]) == pytest.approx(1e6 * (scale - 1.0), abs=4 * float(reported[2]))
 
 
 def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:

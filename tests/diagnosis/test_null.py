@@ -8,7 +8,9 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
+from ltsim.diagnosis.catalogue_signatures import FamilyMeans
 from ltsim.diagnosis.detect import Detection
+from ltsim.diagnosis.evidence import log_means_by_group
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -39,3 +41,13 @@ def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
         chances += [null.p_value_of(float(one)) for one in clean(searcher, seed)]
     for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
         assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)
+
+
+def test_family_means_do_not_depend_on_the_batches() -> None:
+    rng = stream(7, "families")
+    family, values = rng.integers(0, 4, 50), 30.0 * rng.standard_normal((50, 6))
+    family[:4] = np.arange(4)
+    means = FamilyMeans.of(family, 4, 6)
+    for members in np.split(rng.permutation(50), [3, 20, 21]):
+        means.add(members, values[members])
+    np.testing.assert_allclose(means.log_means, log_means_by_group(values, family, 4), rtol=1e-12)

@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
+from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
+from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_result
 from tests.networks import drawn, network
@@ -116,3 +119,49 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = read_result(tmp_path / "out", Comparison)
     assert [d.target for d in content.displacements if d.moved] == ["T06"]
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
+
+
+def listed(path: Path, points: np.ndarray, names: list[str] | None = None) -> Path:
+    names = names or [f"R{i}" for i in range(len(points))]
+    rows = [f"{name},{x:.4f},{y:.4f},{z:.4f},0.02" for name, (x, y, z) in zip(names, points.tolist(), strict=True)]
+    path.write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
+    return path
+
+
+POINTS = np.random.default_rng(4).uniform(-4000.0, 4000.0, (7, 3))
+
+
+def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    turn = from_rotation_vector(np.array([0.001, -0.002, 0.008]))
+    moved = POINTS.copy()
+    moved[3, 0] += 0.4
+    first = listed(tmp_path / "first.csv", POINTS)
+    second = listed(tmp_path / "second.csv", moved @ turn.T + [100.0, 50.0, -20.0])
+    found = lt.compare(first, second)
+    assert found.is_rigid_motion and len(found.moved_points) == 7
+    assert "aligned by free=True, 1 of 7 points moved: R3" in found.notes[-1]
+    run(["compare", str(first), str(second)])
+    printed = capsys.readouterr().out
+    assert "compare them with --free" in printed and "re-measure" not in printed
+    assert not lt.compare(first, second, free=True).is_rigid_motion
+    scattered = POINTS + np.random.default_rng(5).normal(0.0, 1.0, POINTS.shape)
+    assert not lt.compare(first, listed(tmp_path / "third.csv", scattered)).is_rigid_motion
+
+
+def test_names_may_differ_in_case_blanks_and_zeros(tmp_path: Path) -> None:
+    first = listed(tmp_path / "first.csv", POINTS)
+    second = listed(tmp_path / "second.csv", POINTS, ["r0", "R 1", "R02", "R3", "r4", "R_5", "other"])
+    found = lt.compare(first, second)
+    assert [d.target for d in found.displacements] == ["R0", "R1", "R2", "R3", "R4", "R5"]
+    assert any("the same point: 'r0' and 'R0'" in note for note in found.notes)
+
+
+def test_folders_of_results_are_lists_with_their_covariance(tmp_path: Path) -> None:
+    recording = recorded(1)
+    lt.write(lt.adjust(recording), tmp_path / "adjusted")
+    lt.write(lt.calibrate(recording), tmp_path / "calibrated")
+    read = read_coordinates(tmp_path / "adjusted")
+    assert read.title == "adjusted" and len(read.covariance) == 3 * len(recording.targets)
+    assert not is_coordinate_file(tmp_path)
+    assert lt.compare(tmp_path / "adjusted", tmp_path / "adjusted").moved_points == ()
+    assert len(lt.compare(tmp_path / "adjusted", tmp_path / "calibrated").displacements) == len(recording.targets)

@@ -40,6 +40,32 @@ def test_a_clock_is_a_time_of_day_under_any_header(tmp_path: Path, header: str, 
     assert not found.covariates and not found.labels
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "8h{:02d}m20s",
+        "20260301T08{:02d}20",
+        "2026-03-01T08:{:02d}:20+01:00",
+        "1-Mar-2026 08:{:02d}:20",
+        "Mar 1, 2026 8:{:02d}:20 AM",
+        "1. März 2026 08:{:02d}:20",
+        "03/01/2026 8:{:02d}:20 AM",
+    ],
+)
+def test_further_spellings_of_a_clock(tmp_path: Path, form: str) -> None:
+    found = read(table(tmp_path / "a.csv", "measured", [form.format(i) for i in range(6)]))
+    np.testing.assert_allclose(found.time, 60.0 * np.arange(6))
+    assert found.setup.started == ("08:00:20" if "h" in form else "2026-03-01T08:00:20")
+    asked = any("interpreted as month and day (otherwise give --hint date=dmy)" in note for note in found.notes)
+    assert asked == ("/" in form)
+
+
+def test_numbered_days_are_no_seconds(tmp_path: Path) -> None:
+    found = read(table(tmp_path / "a.csv", "Tag", ["1", "1", "1", "2", "2", "2"]))
+    assert not found.has_clock and found.stations == ("A", "A#2")
+    assert any("numbers days without a time" in note for note in found.notes)
+
+
 def test_a_clock_beside_the_time_is_kept_as_text(tmp_path: Path) -> None:
     moments = [f"{20.0 * i};08:{i:02d}:20" for i in range(6)]
     found = read(table(tmp_path / "a.csv", "time_s;set up at", moments))
@@ -82,6 +108,64 @@ def test_minutes_and_seconds_as_decimals(text: str, degrees: float) -> None:
 @pytest.mark.parametrize("text", ["33°72'07\"", "33°12'61\"", "33.7512"])
 def test_no_angle_has_sixty_minutes(text: str) -> None:
     assert cells.parse_packed_degrees(text) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "number", "unit"),
+    [
+        ("43.7121g", 43.7121, "gon"),
+        ("43,7121 gon", 43.7121, "gon"),
+        ("43g71c21.5cc", 43.71215, "gon"),
+        ("43.5°", 43.5, "deg"),
+        ("12.345 m", 12.345, "m"),
+    ],
+)
+def test_a_unit_beside_each_number_is_the_unit_of_its_column(text: str, number: float, unit: str) -> None:
+    bare, found = cells.split_common_unit([text, "", text])
+    assert found == unit and bare[1] == ""
+    value = cells.parse_value(bare[0])
+    assert value is not None and float(value) == pytest.approx(number, abs=1e-12)
+    assert cells.split_common_unit([text, "7.5"]) == ([text, "7.5"], "")
+
+
+def test_units_in_cells_decide_between_degrees_and_gon(tmp_path: Path) -> None:
+    rows = [f"A;P{i};{10.5 + i}{{0}};{95.25 - i}{{0}};{3.5 + i} m" for i in range(4)]
+    for mark, factor in (("g", 0.9), (" gon", 0.9), ("°", 1.0)):
+        (tmp_path / "a.csv").write_text(
+            "\n".join(["Station;Point;Hz;V;D", *rows]).format(mark) + "\n", encoding="utf-8"
+        )
+        found = read(tmp_path / "a.csv", hints=Hints(vertical="zenith"))
+        assert np.degrees(found.readings[0, 2]) == pytest.approx(90 - factor * 95.25)
+        assert found.readings[0, 0] == pytest.approx(3.5)
+    (tmp_path / "a.csv").write_text(
+        "\n".join(["Station;Point;Hz;V;D", rows[0].format("g"), rows[1].format("°")]) + "\n"
+    )
+    with pytest.raises(RecordError, match="expected one unit in all cells"):
+        read(tmp_path / "a.csv")
+
+
+def packed(degrees: float) -> str:
+    seconds = round(3600 * degrees)
+    return f"{seconds // 3600}.{seconds % 3600 // 60:02d}{seconds % 60:02d}"
+
+
+def test_minutes_and_seconds_in_decimals_are_recognised_by_their_digits(tmp_path: Path) -> None:
+    angles = np.random.default_rng(3).uniform([0, 70], [360, 110], (12, 2))
+    for name, form in (("packed", packed), ("plain", "{:.4f}".format)):
+        lines = [f"S;P{i};{form(hz)};{form(v)};{4 + i}.125" for i, (hz, v) in enumerate(angles.tolist())]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["Station;Point;Hz;V;SD [m]", *lines]) + "\n")
+        found = read(tmp_path / f"{name}.csv", hints=None if name == "packed" else Hints(angle="deg"))
+        np.testing.assert_allclose(np.degrees(found.readings[:, 2]), 90 - angles[:, 1], atol=2e-4)
+        assert any("interpreted as ddd.mmss" in note for note in found.notes) == (name == "packed")
+
+
+@pytest.mark.parametrize("titles", ["Hz;M;S;V;M;S", "Hz;m;s;V;m;s"])
+def test_letters_after_an_angle_are_its_minutes_and_seconds(tmp_path: Path, titles: str) -> None:
+    rows = [f"A;P{i};{10 * i};12;7.5;{90 + i};30;0.5;3.{i}" for i in range(4)]
+    (tmp_path / "a.csv").write_text("\n".join([f"Station;Point;{titles};SD [m]", *rows]) + "\n")
+    found = read(tmp_path / "a.csv")
+    assert np.degrees(found.readings[1, 2]) == pytest.approx(-1 - 30 / 60 - 0.5 / 3600)
+    assert not found.covariates
 
 
 GON = [(36.5, 99.75), (298.25, 90.5), (14.125, 89.625)]
@@ -131,11 +215,16 @@ def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_ang
         # two temperatures are no reading
         ("x,20.5,30.5\ny,20.6,30.4\n", "no three of them can be two angles and a distance, or coordinates"),
         ("x,700.5,-3190.1,300.5\ny,740.1,-3165.1,291.5\n", '"target=a,x=b[mm],y=c[mm],z=d[mm]"'),
+        # titles that are not unique are given by their numbers
+        (
+            "S,D,D,D,D\nA,P,23.12345,99.23456,3.1234\nA,Q,223.12345,98.23456,3.2\n",
+            '"station=S,target=2,azimuth=3[deg],vertical=4[deg],distance=5[m]"',
+        ),
     ],
 )
 def test_advice_suggests_only_what_the_values_allow(tmp_path: Path, text: str, says: str) -> None:
-    header = ",".join("abcdef"[: text.splitlines()[0].count(",") + 1])
-    (tmp_path / "a.csv").write_text(f"{header}\n{text}")
+    header = "" if text.startswith("S,D") else ",".join("abcdef"[: text.splitlines()[0].count(",") + 1]) + "\n"
+    (tmp_path / "a.csv").write_text(f"{header}{text}")
     with pytest.raises(RecordError) as refused:
         read(tmp_path / "a.csv", format="table")
     assert says in str(refused.value)
@@ -150,6 +239,21 @@ ROBOT = "X [mm],Y [mm],Z [mm],Target,Time Stamp\n" + "".join(
 def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(ROBOT)
     with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\): a target that moves"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("header", "first", "says"),
+    [
+        ("Time;X;Y;Z;Rx;Ry;Rz", "08:0{i}:00;{x};-3190.5;300.5;1.5;2.5;3.5", "8 positions without point names"),
+        ("q1;q2;X;Y;Z", "{i}.25;-{i}.75;{x};-3190.5;300.5", "8 positions without point names"),
+        ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points, measured 8 times in all"),
+    ],
+)
+def test_what_a_table_of_positions_is_is_said(tmp_path: Path, header: str, first: str, says: str) -> None:
+    rows = [first.format(i=i, x=f"{700 + 40 * i}.5", n=i % 2 + 1) for i in range(8)]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
+    with pytest.raises(RecordError, match=says):
         read(tmp_path / "a.csv")
 
 

@@ -83,6 +83,41 @@ def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> Non
     assert still.stations == ("A", "B")
 
 
+@pytest.mark.parametrize("title", ["Setup", "Occupation", "Aufstellung"])
+def test_a_set_up_beside_the_station_is_an_occupation(tmp_path: Path, title: str) -> None:
+    visits = [(mark, "", setup, turn, 10.0 * i) for i, (mark, _, setup, turn) in enumerate(DAYS)]
+    file = survey(tmp_path / "a.csv", visits, heights=True)
+    file.write_text(file.read_text().replace("isetupid", title))
+    recording = read(file)
+    assert recording.stations == ("A", "B", "A#2", "B#2")
+    alone = file.read_text().splitlines()
+    alone[0] = alone[0].replace("fromstn", "remark")
+    file.write_text("\n".join(alone) + "\n")
+    assert read(file).stations == ("S1", "S2", "S3", "S4")
+
+
+def repeated(path: Path, zeros: list[float], digits: int = 4, wrong: int = -1) -> Path:
+    """Rounds of two stations to the same targets without a column of rounds; `zeros` [deg] of the circle by round."""
+    survey(path, [(mark, "", "", 1, zero) for zero in zeros for mark in "AB" for _ in (0,)], heights=True)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    kept = [[*row[:2], *row[5:7], f"{float(row[7]):.{digits}f}" if i else row[7]] for i, row in enumerate(rows)]
+    if wrong >= 0:
+        kept[wrong][2] = f"{(float(kept[wrong][2]) + 50.0) % 360:.5f}"
+    path.write_text("\n".join(map(",".join, kept)) + "\n")
+    return path
+
+
+def test_a_circle_set_anew_is_recognised_without_a_column_of_rounds(tmp_path: Path) -> None:
+    zeros = [0.0, 0.0, 120.0, 120.0, 240.0, 240.0]
+    recording = read(repeated(tmp_path / "a.csv", zeros))
+    assert recording.stations == ("A", "B", "A#2", "B#2", "A#3", "B#3")
+    assert "6 orientations at 2 occupations" in said(recording)
+    assert lt.adjust(recording).fit.sigma0 < 1.5
+    assert read(repeated(tmp_path / "b.csv", [0.0] * 6)).stations == ("A", "B")
+    assert read(repeated(tmp_path / "c.csv", [0.0] * 6, wrong=20)).stations == ("A", "B")
+    assert read(repeated(tmp_path / "d.csv", zeros, digits=7)).stations == ("A", "B")  # a tracker has no such circle
+
+
 def test_one_wrong_direction_turns_no_circle(tmp_path: Path) -> None:
     visits = [("A", "", "", i, 0.0) for i in range(4)] + [("B", "", "", i, 0.0) for i in range(4)]
     file = survey(tmp_path / "a.csv", visits, heights=True)

@@ -46,7 +46,9 @@ def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
 
 
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
-@pytest.mark.parametrize("rows", [np.arange(100, 160), slice(None)], ids=["few rows", "all rows"])
+@pytest.mark.parametrize(
+    "rows", [np.arange(100, 160), np.arange(100, 400), slice(None)], ids=["few rows", "many rows", "all rows"]
+)
 def test_products_of_what_is_left_are_those_of_projected_vectors(projection, root, rows):
     vectors = np.zeros((len(root), 5))
     vectors[rows] = stream(4, "columns").standard_normal(vectors[rows].shape)
@@ -54,6 +56,21 @@ def test_products_of_what_is_left_are_those_of_projected_vectors(projection, roo
     grams = projection.gram_matrices(vectors[rows], np.array([0, 2, 5]), rows)
     for gram, part in zip(grams, (slice(2), slice(2, 5)), strict=True):
         np.testing.assert_allclose(gram, left[:, part].T @ left[:, part], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
+def test_blocks_of_few_rows_are_not_those_of_a_projector_that_removes_more(projection, root):
+    rows, edges = np.arange(100, 160), np.array([0, 2])
+    columns = stream(5, "columns").standard_normal((60, 2))
+    (before,) = projection.gram_matrices(columns, edges, rows)
+    np.testing.assert_array_equal(projection.gram_matrices(columns, edges, rows)[0], before)
+    vector = np.zeros((len(root), 1))
+    vector[rows[:5]] = 1.0
+    removed = projection.project(vector)
+    removed /= np.linalg.norm(removed)
+    (after,) = projection.with_removed_columns(removed).gram_matrices(columns, edges, rows)
+    inside = columns.T @ removed[rows]
+    np.testing.assert_allclose(after, before - inside @ inside.T, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)

@@ -177,7 +177,8 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
         passed = less or p >= family.false_alarm_rate
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_LEVEL:
-            scatter += f"; noise alone gives this in one of {1 / alone:.0f} networks"
+            rarity = f"one of {1 / alone:.0f} networks, not rarely enough among the tests of a check"
+            scatter += f"; noise alone gives this in {rarity}"
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]

@@ -96,8 +96,8 @@ class StationOccupation:
         sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
-        raw = np.where(recording.is_measured, recording.readings, sightings.raw_readings)
-        by_point, by_value = construction.reading_design(raw, np.zeros(construction.n_parameters))
+        # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
+        by_point, by_value = construction.reading_design(sightings.raw_readings, np.zeros(construction.n_parameters))
         scale = (weight / sigma)[:, :, None]
         gap = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
         gap[:, 1:] = wrap_angle(gap[:, 1:])

@@ -115,7 +115,7 @@ class CauseSelection:
         """True if the network must be adjusted with the selected hypotheses from the start to be consistent.
 
         An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
-        tests. Single motions and reference values have separate tests.
+        tests, also if the noise is smaller than declared. Single motions and reference values have separate tests.
         """
         sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
         shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
@@ -123,7 +123,8 @@ class CauseSelection:
         far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
         exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
         gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
-        noisy = any(isinstance(c.hypothesis.model_change, NoiseFactor) for c in self.selected_hypotheses)
+        changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
+        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
 
     @property

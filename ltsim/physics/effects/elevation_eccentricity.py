@@ -12,7 +12,7 @@ class ElevationEccentricity(SlotEffect):
     Size: as for the azimuth circle: under 0.5 urad good, 5 to 10 urad bad, after the maker's map.
     Like: C1: head-sag exactly for upright trackers, vertical-index (0.96 / 0); D1: elevation-second-order sine (0.93 /
     0).
-    Separate by: D1 by two faces; C1 from sag only with the tracker on its side.
+    Separate by: two faces (D1); the tracker on its side, which separates C1 from sag.
     Valid: first order of one read head.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x7).
     Status: validated against the exact chain in first order, and against the columns of the D-H chain.

@@ -38,14 +38,22 @@ def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool
         return "contains no row with two or more numbers, so no pointing"
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
-    titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
-    header = f"the header {quoted_text(', '.join(titles), 80)}" if named else "a table without a header"
+    given = head.fields if head is not None and named else ("",) * width
+    titles = tuple(_column_reference(i, given) for i in range(width))
+    header = f"the header {quoted_text(', '.join(given), 80)}" if named else "a table without a header"
     advised = _likely_assignments(titles, [row for row in body if len(row) == width][:MAX_SAMPLE_ROWS])
     advice = next(filter(serves, advised[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
         return f'{header} does not define its columns; define them, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
     return f"{header} does not define its columns, and {reason}; if they can, define them: {COLUMNS_QUESTION}"
+
+
+def _column_reference(place: int, titles: Sequence[str]) -> str:
+    """Title of a column in ``--columns``; its number if the title is empty, repeated or has a sign of this option."""
+    title = titles[place]
+    is_usable = title and titles.count(title) == 1 and not any(sign in title for sign in ',+=[]"')
+    return title if is_usable else str(place + 1)
 
 
 def sample_rows(sheet: TableSheet) -> list[SheetRow]:

@@ -36,11 +36,51 @@ _TO_MINUTES_PATTERN = re.compile(
 """Pattern of degrees with minutes and seconds, separated by marks, colons, hyphens or blanks; with minutes alone, by
 marks.
 """
+_CENTESIMAL_PATTERN = re.compile(
+    r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
+)
+"""Pattern of an angle in gon with its hundredths (c) and ten-thousandths (cc)."""
+UNIT_MARKS = {
+    **dict.fromkeys(("g", "gon", "gr", "grd", "ᵍ"), "gon"),
+    **dict.fromkeys(("°", "º", "deg"), "deg"),
+    **{unit: unit for unit in ("rad", "mm", "cm", "m", "ft", "in")},
+}
+"""Units by the marks that may follow the number in a cell."""
+_MARKED_PATTERN = re.compile(
+    rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_MARKS, key=len, reverse=True))})", re.IGNORECASE
+)
 _PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
 """Characters of decimal numbers."""
 _CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_SPELLED_CLOCK_PATTERN = re.compile(
+    r"(\d{1,2})\s*h\s*(\d{1,2})(?:\s*m(?:in)?\s*(\d{1,2})(?:[.,](\d{1,9}))?\s*s?)?()", re.I
+)
+"""Pattern of a time of day with letters: ``8h00m20.5s``, ``8h00``."""
+_MONTH_NAMES = (
+    "jan january januar",
+    "feb february februar",
+    "mar march mär märz maerz mrz",
+    "apr april",
+    "may mai",
+    "jun june juni",
+    "jul july juli",
+    "aug august",
+    "sep sept september",
+    "oct october okt oktober",
+    "nov november",
+    "dec december dez dezember",
+)
+_MONTHS = {name: str(number) for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
+_MONTH_NAME_PATTERN = re.compile(r"(\d{1,2})[.\s-]*([^\W\d_]+)[.,\s-]+(\d{4})|([^\W\d_]+)\.?\s+(\d{1,2}),?\s+(\d{4})")
+"""Pattern of a date with the name of its month: ``1-Mar-2026``, ``1. März 2026``, ``Mar 1, 2026``."""
+_COMPACT_STAMP_PATTERN = re.compile(
+    r"(\d{4})(\d{2})(\d{2})[T ](\d{2}):?(\d{2}):?(\d{2}(?:[.,]\d+)?)(Z|[+-]\d{2}:?\d{2})?"
+)
+"""Pattern of a date and time in the basic format of ISO 8601: ``20260301T080020``."""
 _DATE_ORDERS = ("ymd", "dmy", "mdy")
+_DATE_ORDERS_12_HOURS = ("ymd", "mdy", "dmy")
+"""Orders of day and month, most likely first, beside a time of 12 hours (am, pm)."""
 _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
@@ -75,8 +115,37 @@ def thousands_separator(rows: Iterable[Sequence[str]], file: object) -> str:
 def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
-        is_number(text) or is_number(python_number(text)) or _parse_sexagesimal(text) is not None
+        is_number(text)
+        or is_number(python_number(text))
+        or _parse_sexagesimal(text) is not None
+        or split_unit_mark(text) is not None
     )
+
+
+def split_unit_mark(text: str) -> tuple[str, str] | None:
+    """Number of a cell and the unit that its mark gives (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without."""
+    text = text.strip()
+    if len(text) > MAX_VALUE_LENGTH or text[-1:].isdigit():
+        return None
+    hundredths = _CENTESIMAL_PATTERN.fullmatch(text)
+    if hundredths is not None:
+        sign, whole, minutes, seconds = hundredths.groups()
+        parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
+        return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
+    marked = _MARKED_PATTERN.fullmatch(text)
+    return None if marked is None else (marked[1], UNIT_MARKS[marked[2].casefold()])
+
+
+def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
+    """Cells without the mark of their unit, and this unit; the cells as they are, and '', unless all have one unit."""
+    filled = list(filter(None, texts))
+    first = split_unit_mark(filled[0]) if filled else None
+    if first is None:
+        return texts, ""
+    split = [split_unit_mark(text) if text else ("", first[1]) for text in texts]
+    if any(pair is None or pair[1] != first[1] for pair in split):
+        return texts, ""
+    return [pair[0] for pair in split if pair is not None], first[1]
 
 
 def is_sexagesimal(text: str) -> bool:
@@ -168,9 +237,8 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
     clocks = _convert_all(_parse_clock, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], dated=False)
-    read = (
-        _convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in _DATE_ORDERS
-    )
+    orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
+    read = (_convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders)
     readings = [_seconds_since_first(stamps, dated=True) for stamps in read if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
@@ -198,7 +266,7 @@ def is_date_or_time(text: str) -> bool:
 def has_clock(text: str) -> bool:
     """True if a cell is a time of day, with or without a date."""
     bare = _without_apostrophe(text)
-    return ":" in bare and (
+    return (":" in bare or "h" in bare.lower() or _COMPACT_STAMP_PATTERN.fullmatch(bare) is not None) and (
         _parse_clock(bare) is not None
         or any(_parse_date_and_time(bare, letters, None) is not None for letters in _DATE_ORDERS)
     )
@@ -227,7 +295,7 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
 
 
 def _parse_clock(text: str) -> timedelta | None:
-    match = _CLOCK_PATTERN.fullmatch(text.strip())
+    match = _CLOCK_PATTERN.fullmatch(text.strip()) or _SPELLED_CLOCK_PATTERN.fullmatch(text.strip())
     if match is None:
         return None
     hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
@@ -241,9 +309,23 @@ def _parse_clock(text: str) -> timedelta | None:
     )
 
 
+def _numeric_date(text: str) -> str:
+    """Date and time with the month as a number, and with separators."""
+    compact = _COMPACT_STAMP_PATTERN.fullmatch(text)
+    if compact is not None:
+        year, month, day, hours, minutes, seconds, _ = compact.groups()
+        return f"{year}-{month}-{day} {hours}:{minutes}:{seconds}"
+    named = _MONTH_NAME_PATTERN.match(text)
+    if named is None:
+        return text
+    day, name, year = named.group(1, 2, 3) if named[1] else named.group(5, 4, 6)
+    month = _MONTHS.get(name.casefold())
+    return text if month is None else f"{year}-{month}-{day}{text[named.end() :].replace(',', ' ', 1)}"
+
+
 def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime | None:
     """Date with or without time of day; the time zone of an ISO stamp is ignored (all stamps have the same zone)."""
-    day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
+    day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", _numeric_date(text.strip())).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
     match, clock = _DATE_PATTERN.fullmatch(day), _parse_clock(rest) if rest else timedelta(0)
     if match is None or clock is None or (len(match[1]) == 4) != (letters == "ymd"):

@@ -27,13 +27,16 @@ SIGMA_ROLES = {
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
 TITLE_WORDS = {
-    "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
-    "instrument tracker stationsname setupname",
-    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber targetname "
-    "targetid feature featurename id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
+    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
+    "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
+    "standpunktname from fromstn fromstation frompoint frompointid von instrument tracker stationsname "
+    "setupname setupid setupno setupnr setupnumber occupation occupationid aufstellung besetzung",
+    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno pointnr "
+    "ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation topoint topointid nach "
+    "reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
-    "round": "round obsset satz setnumber satznummer",
+    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
     "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
@@ -48,11 +51,11 @@ TITLE_WORDS = {
     "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
     COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
-    "date": "date datum day",
+    "date": "date datum day tag",
     "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
     "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
     "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
-    "zielpunkthohe reflektorhohe prismenhohe tafelhohe",
+    "zielpunkthohe reflektorhohe prismenhohe tafelhohe zh",
     "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
     "target_setup": "tsetupid targetsetup targetsetupid",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
@@ -73,8 +76,15 @@ ROLE_UNITS = {
     "relative_humidity_pct": ("%",),
 }
 """Permitted units by role; a column in another unit does not have the role."""
-FALLBACK_TARGET_TITLES = ("nr", "nummer", "no", "id")
-"""Titles that mean the target if no other title does."""
+_SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
+_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "besetzung")
+FALLBACK_TITLES = {
+    "target": ("nr", "nummer", "no", "id"),
+    "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
+}
+"""Titles that have a role only if no other title has it."""
+FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
+"""Role of these titles in addition to another title: a set-up that is not the station is an occupation of it."""
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 MAX_TITLE_LENGTH = 80
 """Largest number of characters of a cell that is a possible title."""
@@ -138,19 +148,16 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     both = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     polar = _reading_kinds(candidates) > 1
-    named = {title_words_and_unit(c.title)[0] for c in candidates if c.role == "target"}
+    words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
     columns: list[TableColumn] = []
     taken: set[tuple[str, int]] = set()
     for column in candidates:
         assigned = column
         if assigned.face and assigned.role not in both:
             assigned = _column_from_title(assigned.position, assigned.title, faced=False)
-        if (
-            assigned.role == "target"
-            and title_words_and_unit(assigned.title)[0] in FALLBACK_TARGET_TITLES
-            and not named <= {*FALLBACK_TARGET_TITLES}
-        ):
-            assigned = replace(assigned, role="")
+        fallback = FALLBACK_TITLES.get(assigned.role, ())
+        if title_words_and_unit(assigned.title)[0] in fallback and not words[assigned.role] <= {*fallback}:
+            assigned = replace(assigned, role=FALLBACK_TITLE_ROLES[assigned.role])
         if assigned.role and (
             (assigned.role, assigned.face) in taken
             or (polar and assigned.role in (*COORDINATE_ROLES, COMMON_SIGMA_ROLE))
@@ -184,9 +191,11 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
     for place, column in enumerate(columns):
         stem = _match_unit_ending(_PART_PATTERNS[0], column.title)
         names = [stem[1] if stem is not None else column.title]
+        has_letters = [c.title.casefold() for c in columns[place + 1 : place + 3]] == ["m", "s"]
         for form, after in zip(_PART_PATTERNS[1:], columns[place + 1 : place + 3], strict=False):
             part = _match_unit_ending(form, after.title)
-            whole_word = part is not None and not part[1] and not (len(after.title) == 1 and after.title.isalpha())
+            letter = len(after.title) == 1 and after.title.isalpha() and not has_letters
+            whole_word = part is not None and not part[1] and not letter
             if part is None or not (whole_word or _normalised_text(part[1]) == _normalised_text(names[0])):
                 break
             names.append(part[1])

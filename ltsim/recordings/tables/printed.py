@@ -6,7 +6,7 @@ exact, and an array of them is converted to floating point at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import MAX_PREC, Decimal, localcontext
 from itertools import chain
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.recordings.files import SourceLocation
+from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 Digits = NDArray[np.bytes_]
@@ -186,8 +186,8 @@ class PointingTable:
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)
-    sexagesimal_titles: set[str] = field(default_factory=set)
-    """Titles without a unit whose cells have marks of degrees and minutes."""
+    cell_units: dict[str, str] = field(default_factory=dict)
+    """Units that marks in the cells give, by title."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
         """First column with one of the roles; None if there is none."""
@@ -217,11 +217,19 @@ class PointingTable:
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
+    def add_cell_units(self, units: Mapping[str, str], file: object) -> None:
+        """Addition of units that marks in further cells give; raises RecordError if they differ from those before."""
+        for title, unit in units.items():
+            before = self.cell_units.setdefault(title, unit)
+            if before != unit:
+                message = f"has cells in {before} and in {unit}, expected one unit"
+                raise SourceLocation(file, None).error(message, quoted_text(title))
+
     def add_sheet(self, other: PointingTable, file: object) -> None:
         """Addition of the columns and notes of another sheet; raises RecordError."""
         self.add_header(other.columns, file)
         self.unread += other.unread
         self.notes += [note for note in other.notes if note not in self.notes]
         self.nameless |= other.nameless
-        self.sexagesimal_titles |= other.sexagesimal_titles
+        self.add_cell_units(other.cell_units, file)
         self.positional |= other.positional

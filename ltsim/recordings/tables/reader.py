@@ -20,6 +20,7 @@ from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_S
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.meaning import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
+from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
@@ -65,6 +66,8 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
     if not all(texts):
         return nothing, "", [f"column '{quoted_text(column.title)}' is empty in places: {by_rows}"]
     values = cells.plain_numbers(texts)
+    if values is not None and column.role == "date":
+        return nothing, "", [f"column '{quoted_text(column.title)}' numbers days without a time: {by_rows}"]
     if values is not None:
         return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
     numbers = [cells.parse_number(text) for text in texts]
@@ -80,8 +83,15 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
     if seconds is None:
         unknown = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
-    if not any(":" in text for text in texts):
+    if not any(map(cells.has_clock, texts)):
         return nothing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {by_rows}"]
+    first = texts[int(np.argmin(seconds))]
+    if hints.date is None and len({cells.parse_times([first], order)[1] for order in ("dmy", "mdy")} - {""}) > 1:
+        chosen, other = (
+            ("day and month", "mdy") if cells.parse_times([first], "dmy")[1] == start else ("month and day", "dmy")
+        )
+        note = f"the date in '{quoted_text(first)}' is interpreted as {chosen} (otherwise give --hint date={other})"
+        return seconds, start, [note]
     return seconds, start, []
 
 
@@ -113,9 +123,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
     Raises RecordError.
     """
-    table = name_targets_by_position(
-        with_time_column(read_pointing_table(read_sheets(path), hints, path, positional=positional)), path
-    )
+    printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
+    table = name_targets_by_position(with_unpacked_angles(with_time_column(printed), hints), path)
     table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
     setup = _read_setup(path, hints)
@@ -141,8 +150,9 @@ def assemble_recording(
     sigmas = sigmas_from_coordinates(table, readings, meaning.length_unit)
     covariates, labels, further = _additional_columns(table, meaning)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
-    same_place, rounds = split_occupations(table, readings, turns)
-    upright = bool(total_station_reason(table, meaning, readings)) and table.column(("elevation",)) is None
+    is_total_station = bool(total_station_reason(table, meaning, readings))
+    same_place, rounds = split_occupations(table, readings, turns, is_total_station=is_total_station)
+    upright = is_total_station and table.column(("elevation",)) is None
     setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
     faces, reduced = _pointing_faces(table, readings)
     times, started, timed = pointing_times(table, hints)

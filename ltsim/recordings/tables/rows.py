@@ -20,6 +20,7 @@ from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
     READING_ROLES,
+    ROLE_UNITS,
     VERTICAL_ROLES,
     TableColumn,
     count_role_titles,
@@ -68,13 +69,13 @@ class HeaderRun:
 
 
 class RunReader:
-    """Reader of the rows below one header of a sheet. `nameless` and `marked` are those of `PointingTable`."""
+    """Reader of the rows below one header of a sheet. `nameless` and `cell_units` are those of `PointingTable`."""
 
     def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
         self.sheet, self.columns = sheet, columns
         self.faces = (1, 2) if any(c.face for c in columns) else (0,)
         self.nameless = False
-        self.marked: set[str] = set()
+        self.cell_units: dict[str, str] = {}
 
     def read(self, run: HeaderRun) -> PrintedPointings:
         """Pointings of rows; a row that names no station has the station of its block.
@@ -135,10 +136,19 @@ class RunReader:
         least = 0.0 if column.role in DISTANCE_ROLES else -np.inf
         if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= least)):
             return to_digits(texts)
-        converted = [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
-        if not column.unit and any(map(cells.is_sexagesimal, texts)):
-            self.marked.add(column.title)
-        return to_digits(converted)
+        numbers, unit = cells.split_common_unit(texts)
+        if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):
+            texts = numbers
+        elif not column.unit and any(map(cells.is_sexagesimal, texts)):
+            unit = "deg"
+        else:
+            unit = ""
+        if unit and self.cell_units.setdefault(column.title, unit) != unit:
+            what = f"found '{quoted_text(texts[0])}' in {unit}, expected one unit in all cells"
+            raise self._place(lines[0]).error(what, quoted_text(column.title))
+        return to_digits(
+            [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
+        )
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
         """Digits of the number in one cell."""
@@ -208,7 +218,7 @@ def read_pointing_table(
         unread = f": {whole.unread[0]} has no number in a column of readings" if whole.unread else ""
         raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
     whole.pointings = join_pointings(parts)
-    whole.columns = [replace(c, unit="deg") if c.title in whole.sexagesimal_titles else c for c in whole.columns]
+    whole.columns = [replace(c, unit=whole.cell_units.get(c.title, c.unit)) for c in whole.columns]
     return whole
 
 
@@ -344,7 +354,7 @@ class _SheetReader:
         except RecordError:
             converted = [reader.read(row) for row in run.single_rows()]
         self.table.nameless |= reader.nameless
-        self.table.sexagesimal_titles |= reader.marked
+        self.table.add_cell_units(reader.cell_units, self.sheet.file)
         self.parts.append(join_pointings(converted))
         while (
             len(self.parts) > 1

@@ -23,6 +23,7 @@ from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
+from ltsim.recordings.tables.orientations import circle_orientations
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
 
 MAX_SAME_PLACE_RATIO = 3e-4
@@ -131,7 +132,7 @@ def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]
         places.setdefault(target, set()).add(station)
     spellings_of: dict[str, list[str]] = {}
     for target in places:
-        spellings_of.setdefault(_normalised_name(target), []).append(target)
+        spellings_of.setdefault(normalised_name(target), []).append(target)
     common = {
         name: spellings[0]
         for spellings in spellings_of.values()
@@ -158,16 +159,20 @@ def _shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
-def _normalised_name(name: str) -> str:
+def normalised_name(name: str) -> str:
+    """Name of a target without differences of case, blanks and leading zeros."""
     bare = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
 
 
-def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> tuple[set[str], list[str]]:
+def split_occupations(
+    table: PointingTable, readings: Floats, sigma: Floats, *, is_total_station: bool
+) -> tuple[set[str], list[str]]:
     """Separation (in place) of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
 
     An occupation has one identifier in a column of set-ups or, without such a column, one day in a column of dates.
-    `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given.
+    `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given. Without a column of rounds, the
+    directions of a total station show where its circle was set anew.
 
     Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
@@ -175,12 +180,18 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     occupations: Sequence[OccupationKey]
     occupations, of_occupation = indices_by_value(zip(printed.station, _occupation_numbers(table), strict=True))
     distinct, code = occupations, of_occupation
-    turned = False
+    turned, orientations = False, None
     if table.column(("round",)) is not None:
         by_round, of_round = indices_by_value(zip(of_occupation.tolist(), printed.round, strict=True))
         turned = _has_rotated_circle(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
+    elif is_total_station:
+        _, sight = indices_by_value(zip(of_occupation.tolist(), printed.target, printed.face, strict=True))
+        orientations = circle_orientations(of_occupation, sight, readings)
+        if orientations is not None:
+            by_number, code = indices_by_value(zip(of_occupation.tolist(), orientations.tolist(), strict=True))
+            distinct = [(*occupations[i], str(number)) for i, number in by_number]
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
         return set(), []
@@ -200,8 +211,14 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
         notes.append(
             f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
+    if orientations is not None:
+        notes.append(
+            f"the circle was set anew between repeated pointings: {len(names)} orientations at {len(occupations)} "
+            "occupations are separate set-ups at the same positions"
+        )
     rounds = Counter(key[:2] for key in distinct)
-    return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
+    is_split = turned or orientations is not None
+    return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
 
 
 def _occupation_numbers(table: PointingTable) -> list[str]:

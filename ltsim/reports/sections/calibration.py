@@ -199,8 +199,11 @@ def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> l
     blocks: list[Block] = []
     if not converged:
         blocks.append(NoteBlock("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
-    if content.verdict.sentence and not content.noise_estimated:
-        blocks.append(NoteBlock("Verdict", content.verdict.sentence))
+    verdict = content.verdict.sentence
+    if content.noise_estimated:  # the global test does not apply to it, the causes do
+        verdict = " ".join(test.sentence for test in content.tests if test.sentence and test.sentence in verdict)
+    if verdict:
+        blocks.append(NoteBlock("Verdict", verdict))
     lines = uncertainty_sentences(content)
     blocks += [BulletListBlock("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.calibration.schema import RESIDUALS_TABLE
+from ltsim.core.errors import ModelError
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -23,7 +24,8 @@ from ltsim.diagnosis.schema import (
     Misfit,
 )
 from ltsim.diagnosis.words import clear_constants_texts, effect_text, parameter_text
-from ltsim.physics.effects import title_of
+from ltsim.physics.effects import find_effect, title_of
+from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document import (
@@ -132,7 +134,7 @@ def _inspection_action(finding: Finding) -> str:
     """Action at the place of a finding."""
     where = finding.where
     trackers = [f"instrument {name}" for name in where.instruments]
-    place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
+    place = listing([*trackers, *where.stations, *where.targets])
     if _is_name_exchange(finding):
         names = listing(where.targets)
         if not where.stations:
@@ -141,11 +143,24 @@ def _inspection_action(finding: Finding) -> str:
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
     if finding.carrier.startswith("reference"):
-        return f"Check the {finding.carrier} ({place})."
+        return f"Check the {finding.carrier} ({place or 'all of them'})."
     follows = f" with {listing(where.covariates)}" if where.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{follows}"
-    title = title_of(finding.effect) if finding.is_catalogued else change
-    return f"Inspect {place} for the cause: {title}."
+    title = title_of(finding.effect) if finding.is_catalogued else f"a {change}"
+    action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
+    return f"{action}{_confirmation(finding)}."
+
+
+def _confirmation(finding: Finding) -> str:
+    """Measurement that confirms an effect, from its catalogue entry; empty for a law and if none is needed."""
+    if not finding.is_catalogued:
+        return ""
+    try:
+        texts = dict(catalogue_entry(find_effect(finding.effect)).sections())
+    except ModelError:  # an effect of somebody else, which is not installed here
+        return ""
+    measurement = texts["Separate by"].partition(";")[0].partition(":")[0].rstrip(".")
+    return "" if measurement.startswith("nothing") else f"; confirmed by {measurement}"
 
 
 def _is_name_exchange(finding: Finding) -> bool:

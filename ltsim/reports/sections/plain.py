@@ -11,6 +11,7 @@ from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
 from ltsim.calibration.history import History
+from ltsim.core.errors import option
 from ltsim.core.notation import number_text
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
@@ -106,6 +107,8 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
     drawn = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
+    if content.is_rigid_motion:
+        action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [drawn, *table],
         axes="the first epoch's", next_actions=[action] if moved else [],

@@ -108,6 +108,23 @@ def test_a_gross_pointing_is_named_and_nothing_else() -> None:
     assert float(apart[3]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.sigma()[70, 0])
 
 
+@pytest.mark.parametrize("metres", [0.15, 0.2, 1.0])
+@pytest.mark.parametrize("rounds", [3, 20])
+def test_a_large_error_of_one_distance_is_gross_and_no_constant_of_the_instrument(metres: float, rounds: int) -> None:
+    """One set-up, one face; the columns of the instrument must not follow the reading that is wrong."""
+    recording = visits(5)
+    front = recording.select(np.flatnonzero(recording.face == 1)[:8])
+    again = front.select(np.tile(np.arange(8), rounds))
+    noise = stream(4, "repeated").standard_normal((8 * rounds, 3)) * again.sigma()
+    readings = again.readings + noise
+    readings[11, 0] -= metres
+    again = again.replace(time=10.0 * np.arange(len(again)), repeat=np.arange(len(again)) // 8 + 1)
+    found = check(again.with_readings(readings))
+    assert not found.passed
+    gross = next(item for item in found.items if item.kind == "gross")
+    assert not gross.passed and gross.rows == (12,)
+
+
 def test_creeping_is_called_drift() -> None:
     recording = visits(6, values=0.5)
     visit = StationOccupation.from_recording(recording, misalignment_construction())

@@ -14,6 +14,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.arrays import Ints
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
+from ltsim.reports.sections import section_of
 from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
@@ -143,3 +144,22 @@ def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Pat
     lt.write(lt.adjust(recording), folder)
     first = lt.read(folder).tests[0]
     assert (first.kind, first.acts_on, first.where.targets) == ("names", "point", targets)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_noise_below_the_declared_does_not_conceal_a_wrong_constant(factor: float) -> None:
+    """The distances of one set-up are 0.25 mm too long; the declared noise is right, or twice as large."""
+    recording, _ = lt.simulate("paper-workshop-two-face", seed=3)
+    readings = recording.readings.copy()
+    readings[recording.station == 1, 0] += 0.25e-3
+    noise = recording.setup.instrument.noise
+    louder = noise.model_copy(update={name: factor * value for name, value in noise.model_dump().items()})
+    instrument = recording.setup.instrument.model_copy(update={"noise": louder})
+    wrong = recording.with_readings(readings).replace(
+        setup=recording.setup.model_copy(update={"instrument": instrument})
+    )
+    assert "The distances from S2 are 0.24" in lt.check(wrong).sentence
+    calibrated = lt.calibrate(wrong)
+    assert calibrated.noise_estimated == (factor > 1.0)
+    assert "The distances from S2 are 0.24" in section_of(calibrated).text()
+    assert calibrated.fit.chi2 < 1.2 * calibrated.fit.dof
