@@ -36,7 +36,7 @@ class AcceptancePlan:
 
     @cached_property
     def _test_ends(self) -> tuple[Floats, Floats]:
-        return np.array([t.first for t in self.tests]), np.array([t.second for t in self.tests])
+        return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
     def is_length(self) -> Bools:

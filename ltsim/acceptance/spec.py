@@ -41,9 +41,9 @@ class AcceptanceTest:
     name: str
     group: str
     kind: TestKind
-    first: tuple[float, float, float]
+    first_point: tuple[float, float, float]
     """First point of a length, or the target of a two-face test, (3,) [m]."""
-    second: tuple[float, float, float]
+    second_point: tuple[float, float, float]
     """Second point, (3,) [m]."""
 
 

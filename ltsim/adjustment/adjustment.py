@@ -187,7 +187,7 @@ class Adjustment(Result):
         It is empty for none.
         """
         recording, problem = self.recording, self.problem
-        held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.mark_control_rows)
+        held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
         differences = problem.difference_rows.declared_components[:, :2].any()
         lengths = problem.used_readings[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:

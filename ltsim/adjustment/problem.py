@@ -94,7 +94,7 @@ class NetworkProblem(NetworkRows):
             level_rows=levels,
             yaw_rows=yaws,
             marks=marks,
-            mark_control_rows=mark_control,
+            control_rows_of_marks=mark_control,
             difference_rows=differences,
             unknowns=UnknownColumns.from_model(model, gauge, marks, differences),
         )
@@ -137,7 +137,9 @@ class NetworkProblem(NetworkRows):
         pointings = (self.reading_residuals(readings) / self.sigma)[self.used_readings]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.place_indices])
-        marks = self.mark_control_rows.whitened_residuals(state.station_positions[self.mark_control_rows.place_indices])
+        marks = self.control_rows_of_marks.whitened_residuals(
+            state.station_positions[self.control_rows_of_marks.place_indices]
+        )
         differences = self.difference_rows.whitened_residuals(
             self.difference_rows.predict(state.target_points, state.station_positions)
         )
@@ -219,8 +221,8 @@ class NetworkProblem(NetworkRows):
                 axis=0,
             ),
             np.repeat(
-                at.pose_columns[self.mark_control_rows.place_indices, :3],
-                self.mark_control_rows.declared_components.sum(axis=1),
+                at.pose_columns[self.control_rows_of_marks.place_indices, :3],
+                self.control_rows_of_marks.declared_components.sum(axis=1),
                 axis=0,
             ),
             np.repeat(
@@ -243,7 +245,7 @@ class NetworkProblem(NetworkRows):
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
         yield gauge / self.gauge_rows.sigma[:, None]
         yield self.control_rows.derivatives()
-        yield self.mark_control_rows.derivatives()
+        yield self.control_rows_of_marks.derivatives()
         yield self.difference_rows.derivatives()
         yield self.level_rows.derivative(state.station_rotations) / self.level_rows.sigma[:, None, None]
         yield self.yaw_rows.derivative(state.station_rotations) / self.yaw_rows.sigma[:, None]
@@ -304,7 +306,7 @@ class NetworkProblem(NetworkRows):
             int(self.used_readings.sum())
             + len(self.gauge_rows)
             + self.control_rows.n_coordinates
-            + self.mark_control_rows.n_coordinates
+            + self.control_rows_of_marks.n_coordinates
         )
         first += self.difference_rows.n_coordinates
         return slice(first, first + 2 * len(self.level_rows))
@@ -320,7 +322,9 @@ class NetworkProblem(NetworkRows):
         lengths -= lengths > 0 and not self.gauge_rows.determine_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = (
-            self.control_rows.n_coordinates + self.mark_control_rows.n_coordinates + self.difference_rows.n_coordinates
+            self.control_rows.n_coordinates
+            + self.control_rows_of_marks.n_coordinates
+            + self.difference_rows.n_coordinates
         )
         references += lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + priors + nuisances
         free = self.free_motions.shape[1] - self.structure.fixes_heights

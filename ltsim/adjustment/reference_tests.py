@@ -174,7 +174,7 @@ def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> Netw
     turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
     floors = {
         "control_rows": floor,
-        "mark_control_rows": floor,
+        "control_rows_of_marks": floor,
         "difference_rows": floor,
         "level_rows": turn,
         "yaw_rows": turn,

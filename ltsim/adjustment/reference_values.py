@@ -63,7 +63,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
         column = shown[reached, i : i + 1]
         yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
-    points, marks, differences = problem.control_rows, problem.mark_control_rows, problem.difference_rows
+    points, marks, differences = problem.control_rows, problem.control_rows_of_marks, problem.difference_rows
     at, on, names = points.place_indices, marks.place_indices, problem.marks.mark_names
     by_name: tuple[tuple[ReferenceKind, ControlRows, list[str], Sequence[str], Floats], ...] = (
         ("point", points, [recording.targets[t] for t in at], (), state.target_points[at]),

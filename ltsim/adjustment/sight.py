@@ -48,7 +48,7 @@ class FitReadings:
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def without_observable(self, observable: int) -> FitReadings:
-        """Sight without distances (0), azimuths (1) or elevations (2)."""
+        """The same sight without its distances (0), azimuths (1) or elevations (2)."""
         return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def select_rows(self, rows: Ints) -> Self:

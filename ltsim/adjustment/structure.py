@@ -105,7 +105,7 @@ class NetworkRows:
     """Rows of the stations with known azimuth zero."""
     marks: StationMarks
     """Marks under the set-ups."""
-    mark_control_rows: ControlRows
+    control_rows_of_marks: ControlRows
     """Rows of the known marks under stations."""
     difference_rows: DifferenceRows
     """Rows of the known differences."""
@@ -123,7 +123,7 @@ class NetworkRows:
         references = (
             self.gauge_rows,
             self.control_rows,
-            self.mark_control_rows,
+            self.control_rows_of_marks,
             self.difference_rows,
             self.level_rows,
             self.yaw_rows,
@@ -179,7 +179,7 @@ class UndeterminedUnknowns:
             (marks.first_setup_on_mark == np.arange(count)) & (marks.target_indices < 0),
         )
         level[levels.station_indices] = True
-        alone[network.mark_control_rows.place_indices] = False
+        alone[network.control_rows_of_marks.place_indices] = False
         height = alone & azimuth & ~feels & level
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
         is_read[network.control_rows.place_indices[network.control_rows.declared_components.all(axis=1)]] = True
@@ -195,7 +195,7 @@ class UndeterminedUnknowns:
         flat[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
         height_free = network.difference_rows.undetermined_heights(np.concatenate([flat, height, [False]]))
         has_height = np.concatenate(
-            [network.control_rows.declared_components[:, 2], network.mark_control_rows.declared_components[:, 2]]
+            [network.control_rows.declared_components[:, 2], network.control_rows_of_marks.declared_components[:, 2]]
         )
         stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(flat) : -1])
         return cls(
@@ -285,7 +285,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
     )
     high = use[:, 2].any()
     has_scale = (
-        use[:, 0].any() or len(network.gauge_rows) or len(network.difference_rows) or len(network.mark_control_rows)
+        use[:, 0].any() or len(network.gauge_rows) or len(network.difference_rows) or len(network.control_rows_of_marks)
     )
     if (
         has_scale

@@ -264,7 +264,7 @@ def frame_text(adjustment: Adjustment) -> str:
         recording.targets[i]
         for i in control_rows.place_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
     ]
-    control += [problem.marks.mark_names[i] for i in problem.mark_control_rows.place_indices]
+    control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.place_indices]
     levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
     turned = [recording.stations[i] for i in problem.yaw_rows.station_indices]
     zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []

@@ -382,7 +382,9 @@ def score_estimates(
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
         if not has_same_kind(estimates[name].unit, unit):
-            raise SetupError(f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit like it")
+            raise SetupError(
+                f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit of that kind"
+            )
     factor = np.array([SI_PER_UNIT[unit] for unit in units])
     scale = np.array([SI_PER_UNIT[estimates[name].unit] for name in names]) / factor
     value = scale * np.array([estimates[name].value for name in names])

@@ -173,8 +173,8 @@ class CatalogueSignatures:
             FamilyMeans.empty(self.family_of_effect, len(self.families), probe.n_trials),
         )
         for group in self.groups:
-            for part in group.parts(probe.vectors.shape[1]):
-                scores = group.weighted_products(part, probe.vectors)
+            for part in group.parts(probe.probe_vectors.shape[1]):
+                scores = group.weighted_products(part, probe.probe_vectors)
                 if probe.is_first_pass:
                     group.gram[part] = probe.projected_gram(scores, group.unscaled_gram[part])
                 score, trials, _ = probe.split_products(scores)

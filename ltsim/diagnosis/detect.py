@@ -29,7 +29,7 @@ class Detection:
         Log evidence of the whole search.
     chi2_p_value : float
         p-value of the global test (chi-square); NaN without redundancy.
-    null_statistics : (trials,) float |
+    null_statistics : (trials,) float
         Statistic of simulated recordings without any effect.
     """
 

@@ -46,7 +46,7 @@ def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSi
 
     Parameters
     ----------
-    catalogue_signatures : CatalogueSignatures |
+    catalogue_signatures : CatalogueSignatures
         All hypotheses of the catalogue.
     """
     detectable, hidden = [], []

@@ -27,7 +27,7 @@ class Hypothesis:
     ----------
     effect : CandidateEffect
     log_prior : float
-    log_evidence : float |
+    log_evidence : float
         Log evidence given the model at its evaluation, prior and shapes included.
     name : str
         Id of the catalogue effect, or `unknown`.
@@ -63,7 +63,7 @@ class Model:
     members : tuple of Hypothesis
     projected_signatures : tuple of (m, k) float
         Signatures of the members, projected onto the residual space.
-    signature_norms : tuple of (k,) float |
+    signature_norms : tuple of (k,) float
         Lengths of the signatures' columns before the projection.
     baseline_residual : (m,) float
         Residual of the empty model.
@@ -133,7 +133,7 @@ class Ranking:
     Attributes
     ----------
     entries : tuple of Hypothesis
-    log_evidence_total : float |
+    log_evidence_total : float
         Log sum over them, the first ones evaluated without approximation.
     log_evidence_unmodelled : float
         Log evidence of an unmodelled cause.

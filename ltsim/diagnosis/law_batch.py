@@ -217,7 +217,7 @@ class LawBatch:
     def _products_with_ensemble(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
+        vectors, d = probe.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
         sums = np.zeros(
             (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
         )

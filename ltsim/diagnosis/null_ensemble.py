@@ -38,10 +38,10 @@ class NullEnsemble:
     Attributes
     ----------
     space : ResidualSpace
-    vectors : (m, 1 + t + u) float32
+    probe_vectors : (m, 1 + t + u) float32
         Residual of the model; residuals of t simulated recordings, by which a search is judged; orthonormal basis of
         the estimated parameters, or with `gram_is_monte_carlo` further simulated residuals.
-    n_trials : int |
+    n_trials : int
         Number t of simulated recordings; 0 where the search is not judged.
     model_basis : (m, e) float
         Orthonormal basis of the model.
@@ -52,7 +52,7 @@ class NullEnsemble:
     """
 
     space: ResidualSpace
-    vectors: Singles
+    probe_vectors: Singles
     n_trials: int
     model_basis: Floats
     is_first_pass: bool
@@ -81,12 +81,12 @@ class NullEnsemble:
         Gram matrices and null statistics are those of the first pass.
         """
         vectors = residual[:, None].astype(np.float32)
-        return replace(self, vectors=vectors, n_trials=0, model_basis=model_basis, is_first_pass=False)
+        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_pass=False)
 
     @property
     def simulated_residuals(self) -> Singles:
         """Residuals (m, t) of simulated recordings."""
-        return self.vectors[:, 1 : 1 + self.n_trials]
+        return self.probe_vectors[:, 1 : 1 + self.n_trials]
 
     @cached_property
     def _row_of_reading(self) -> Ints:
@@ -98,7 +98,7 @@ class NullEnsemble:
 
     def vectors_at(self, pointings: Ints) -> Singles:
         """Vectors (p, 3, v) at some pointings; only those of used readings are defined."""
-        return self.vectors[self._row_of_reading[pointings]]
+        return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
         """Products (..., k, v) with all vectors, split into those with residual, trials and basis."""
@@ -116,7 +116,11 @@ class NullEnsemble:
             Products of the columns with each other.
         """
         squares = row_gram(self.split_products(scores)[2])
-        return squares / (self.vectors.shape[1] - 1 - self.n_trials) if self.gram_is_monte_carlo else products - squares
+        return (
+            squares / (self.probe_vectors.shape[1] - 1 - self.n_trials)
+            if self.gram_is_monte_carlo
+            else products - squares
+        )
 
 
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:

@@ -11,7 +11,7 @@ from ltsim.physics.effects import catalogue_entry, find_effect, title_of
 MAX_LISTED_ESTIMATES = 4
 """Largest number of estimates in a sentence."""
 MIN_PROBABLE = 0.5
-"""A name, or an effect, is reported as probable from this probability on: the more probable of two."""
+"""Smallest probability at which a name or an effect is reported as probable: the more probable of two."""
 COVARIATE_TEXTS = {
     "approach": "the move before the pointing",
     "place": "the place in the room",

@@ -168,7 +168,7 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
     by_length = point_response[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
-        (CONTROL_SOURCE, problem.control_rows.n_coordinates + problem.mark_control_rows.n_coordinates),
+        (CONTROL_SOURCE, problem.control_rows.n_coordinates + problem.control_rows_of_marks.n_coordinates),
         ("known differences", problem.difference_rows.n_coordinates),
         ("levels", 2 * len(problem.level_rows)),
         ("orientations", len(problem.yaw_rows)),

@@ -56,8 +56,8 @@ def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, 
     errors = plan.test_errors(one(plan, name, size))
     for test, error in zip(plan.tests, errors, strict=True):
         if test.kind == "two-face":
-            x, y, z = test.first
-            r, phi = np.linalg.norm(test.first), np.arctan2(z, np.hypot(x, y))
+            x, y, z = test.first_point
+            r, phi = np.linalg.norm(test.first_point), np.arctan2(z, np.hypot(x, y))
             assert np.hypot(*error) == pytest.approx(per_unit(r, phi) * size, abs=2e-4 * size)
 
 
@@ -69,7 +69,7 @@ def test_length_sensitivities_in_closed_form(plan: AcceptancePlan) -> None:
     )
     for test, stretched, moved in zip(plan.tests, scale, zero, strict=True):
         if test.kind == "length":
-            first, second = np.array(test.first), np.array(test.second)
+            first, second = np.array(test.first_point), np.array(test.second_point)
             way = second - first
             u = way / np.linalg.norm(way)
             cosines = u @ (second / np.linalg.norm(second) - first / np.linalg.norm(first))

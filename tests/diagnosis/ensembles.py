@@ -10,5 +10,5 @@ from ltsim.diagnosis.null_ensemble import NullEnsemble
 
 def with_trials(probe: NullEnsemble, residuals: Floats) -> NullEnsemble:
     """Ensemble whose simulated recordings have the given residuals (m, t)."""
-    parts = probe.vectors[:, :1], residuals, probe.vectors[:, 1 + probe.n_trials :]
-    return replace(probe, vectors=np.hstack(parts, dtype=np.float32), n_trials=residuals.shape[1])
+    parts = probe.probe_vectors[:, :1], residuals, probe.probe_vectors[:, 1 + probe.n_trials :]
+    return replace(probe, probe_vectors=np.hstack(parts, dtype=np.float32), n_trials=residuals.shape[1])

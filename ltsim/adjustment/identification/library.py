@@ -67,7 +67,7 @@ class ShiftFamily:
 
     Attributes
     ----------
-    kind : CauseKind |
+    kind : CauseKind
     acts_on : str
     place_kind : {`station`, `target`}
     design : (n, 3, p) float

@@ -38,7 +38,7 @@ class Response:
     ----------
     name : str
         Name of the response in files and sentences.
-    display_unit : str |
+    display_unit : str
     plausible_size : float
         Plausible size [SI].
     observables : tuple of str
