@@ -34,7 +34,7 @@ AXES = {
     "distance": ("range [m]", lambda s: s.range_),
     "time": ("time [min]", lambda s: s.time / 60.0),
     "incidence": ("incidence [°]", lambda s: s.incidence / DEGREE),
-    "height": ("height of the target [m]", lambda s: s.points[s.target, 2]),
+    "height": ("height of the target [m]", lambda s: s.target_points[s.target, 2]),
 }
 SIDES = ("along the beam", "to its left", "upward")
 SCENARIO, SEED = "paper-workshop-two-face", 1

@@ -121,7 +121,7 @@ DETECTION_CURVE_TABLE = Table(
         *numbers(
             detections="Number of injections with a new finding.",
             placed="Those with a new finding at the right place.",
-            descriptions="Those with a new finding of the right name.",
+            named="Those with a new finding of the right name.",
             right="Those whose first new finding has the right name and place.",
         ),
         *numbers(form=".3f", detections_low="", detections_high=""),
