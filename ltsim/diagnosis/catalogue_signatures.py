@@ -170,7 +170,7 @@ class CatalogueSignatures:
         """
         values, chance = (
             np.zeros(len(self.effects)),
-            FamilyMeans.empty(self.family_of_effect, len(self.families), probe.n_trials),
+            FamilyMeans.without_effects(self.family_of_effect, len(self.families), probe.n_trials),
         )
         for group in self.groups:
             for part in group.parts(probe.probe_vectors.shape[1]):
@@ -213,7 +213,7 @@ class FamilyMeans:
     sums: Floats
 
     @classmethod
-    def empty(cls, family: Ints, count: int, trials: int) -> FamilyMeans:
+    def without_effects(cls, family: Ints, count: int, trials: int) -> FamilyMeans:
         """Means of no effect yet."""
         return cls(family, np.full((count, trials), -np.inf))
 
