@@ -42,7 +42,9 @@ class CalibrationArrays(ValueEquality):
     applied_values: Floats | None = None
     """Parameters that are applied to readings, (I, p); None if these are the estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they remain zero."""
+    """Combinations (k, I p) of the p parameters of I instruments, in units of their prior standard deviations, that a
+    distance method does not determine and sets to zero.
+    """
     target_names: tuple[str, ...] = ()
     """Names of the targets."""
     target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))

@@ -111,7 +111,8 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
-            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, set it in [instrument.prior.parameters]"
+            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, state a larger sigma in "
+            "[instrument.prior.parameters]"
         )
     if len(worst) > MAX_SENTENCES:
         sentences.append(f"{len(worst) - MAX_SENTENCES} more parameters contradict their prior")

@@ -48,7 +48,7 @@ RESIDUALS_TABLE = Table(
 
 
 class FitEntry(Entry):
-    """Agreement of readings and model; the test is null without redundancy."""
+    """Goodness of fit: agreement of readings and model; the test is null without redundancy."""
 
     chi2: Finite = 0.0
     """Weighted sum of squares."""

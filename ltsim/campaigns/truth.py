@@ -173,9 +173,9 @@ class CellTruth:
         return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
     def block_from_draw(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
-        """Block of a draw.
+        """Trials with the errors of a draw: their readings, positions and parameters.
 
-        `reading_deviations` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
+        `deviation` (n, 3, B), exact minus nominal readings, is overwritten by the result.
         """
         if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
             deviation = self._deviations_with_blunders(draw)

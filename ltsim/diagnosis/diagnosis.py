@@ -210,9 +210,9 @@ class Diagnosis(ResultFile):
 
     @property
     def n_coefficients(self) -> int:
-        """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings.
+        """Number of estimated coefficients of all effects that shift readings; without such effects, of the findings.
 
-        The ratio of w components of a law counts as w - 1.
+        A law whose w components have an estimated ratio has w - 1 coefficients more.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)

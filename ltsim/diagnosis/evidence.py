@@ -222,8 +222,8 @@ def _observable_fractions(use: Bools, shift: Floats) -> Floats:
 
 
 DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
-"""Relative discrepancies of an unmodelled cause from the best hypothesis, log-uniform from hardly
-visible to complete.
+"""Grid of the differences of an unmodelled cause from the best hypothesis, relative to the change by the hypothesis:
+log-uniform from hardly visible to 1, a difference as large as the change.
 """
 
 

@@ -102,7 +102,7 @@ class ExplainedRecording:
 
     @cached_property
     def p_located(self) -> list[float]:
-        """Probability that some effect has each member's observables, place and covariates, whichever effect it is."""
+        """Probability, for each member of the model, that any effect acts on its observables at its place."""
         return [self._p_located_of(i) for i in range(len(self.model.members))]
 
     @cached_property

@@ -47,7 +47,9 @@ more cost too much.
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
 """Smallest number of pointings of a set-up per coefficient for a fine curve; otherwise it is coarse."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient at the place of a law: the adjustment absorbs about half of them."""
+"""Smallest number of pointings on which a law acts per coefficient: the adjustment absorbs about half of their
+information.
+"""
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors of one instrument, and of one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")

@@ -193,7 +193,7 @@ class CriteriaPredictor:
         return cls(names, distance, coordinate)
 
     def expected_errors(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
-        """Criteria (k,) for groups of errors of some times their nominal size (default 1)."""
+        """Expected criteria (k,), with the errors of each group multiplied by a factor (k,) of its own (default 1)."""
         wanted = dict(group_sizes or {})
         for name in wanted:
             if name not in self.error_groups:

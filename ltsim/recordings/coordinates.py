@@ -339,7 +339,7 @@ def _parse_number(cell: XmlNode) -> float:
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Points of a list along its axes; their covariance is in a companion file or in columns."""
+    """Coordinates of listed points, for the axes that the list has; covariances from a second file or columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(

@@ -159,7 +159,7 @@ class Recording(Result):
 
     @property
     def usable(self) -> Bools:
-        """Flags (n, 3) of the readings that a network uses: measured, and no angle of a `vertical` pointing."""
+        """Flags (n, 3) of the readings that a network uses: the measured ones, except the angles of vertical sights."""
         return self.is_measured & ~(self.vertical[:, None] & [False, True, True])
 
     @property

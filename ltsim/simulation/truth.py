@@ -199,7 +199,7 @@ class Truth(ResultFile):
     @model_validator(mode="after")
     def _effects_and_nominal_points_exist(self) -> Self:
         if self.nominal is not None and [p.name for p in self.nominal] != [p.name for p in self.targets]:
-            raise ValueError("the nominal points are not those of the targets, in their order")
+            raise ValueError("the nominal points have other names than the targets, or another order")
         try:
             for entry in self.effects:
                 entry.to_applied()

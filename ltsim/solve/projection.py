@@ -89,7 +89,7 @@ class FactorProjection:
     factor: BlockFactor
     """Factorised normal equations."""
     added_columns: Floats
-    """Additional columns that are removed, (m, e)."""
+    """Further columns (m, e) that are projected out, besides those of the design."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
     _local_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)

@@ -227,7 +227,7 @@ def test_rough_places_decide_the_sense_against_the_words(tmp_path: Path) -> None
     )
     found = read(file)
     np.testing.assert_allclose(found.readings, truth().readings, rtol=1e-15)
-    assert any("from all approximate stations" in note for note in found.notes)
+    assert any("agree at their approximate positions" in note for note in found.notes)
 
 
 def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:

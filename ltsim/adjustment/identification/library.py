@@ -223,7 +223,7 @@ def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
 
 
 def convention_corrections(recording: Recording) -> list[Hypothesis]:
-    """Hypotheses of set-ups in another unit, sense or face, from the shape of their points without a network."""
+    """Hypotheses of set-ups recorded in another unit, direction of rotation or face, from the shape of their points."""
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []

@@ -25,7 +25,10 @@ class RangeDrift(Drift):
         "range-drift", "um/h", "growth of the length missing from every range", 15 * SI_PER_UNIT["um/h"]
     )
     amplitude_parameter = Parameter(
-        "range-drift-amplitude", "um", "length missing at the start, decaying", 20 * MICROMETRE
+        "range-drift-amplitude",
+        "um",
+        "shortage of the ranges at the start, which then decays",
+        20 * MICROMETRE,
     )
     parameters = (rate_parameter,)
 

@@ -86,8 +86,12 @@ class SmrIncidence(Effect):
     covariates: ClassVar[tuple[str, ...]] = ("incidence",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         *_ramp_parameters(),
-        Parameter("threefold-cos", "um", "of the three mirrors, cosine, its size at 30 deg", THREEFOLD_SIGMA),
-        Parameter("threefold-sin", "um", "of the three mirrors, sine, its size at 30 deg", THREEFOLD_SIGMA),
+        Parameter(
+            "threefold-cos", "um", "cosine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_SIGMA
+        ),
+        Parameter(
+            "threefold-sin", "um", "sine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_SIGMA
+        ),
     )
 
     def __post_init__(self) -> None:

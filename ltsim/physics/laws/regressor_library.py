@@ -125,7 +125,7 @@ is near a tried one.
 MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
 """Smallest number of pointings per cycle of a wave."""
 MIN_COVARIATE_SPREAD = 1e-12
-"""Spread [rad, m, s] of a quantity below which it counts as constant: elevations in a plane differ by 1e-31."""
+"""Spread [rad, m, s] of a quantity below which it counts as constant: equal elevations differ by rounding alone."""
 OPERATOR_ODDS = 1.0 / 3.0
 """Factor on the prior odds for each operator or second factor: odds of one in three that it occurs."""
 OPERATOR_COUNTS = {

@@ -84,7 +84,7 @@ FALLBACK_TITLES = {
 }
 """Titles that have a role only if no other title has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Role of these titles in addition to another title: a set-up that is not the station is an occupation of it."""
+"""Roles of titles where another title has their usual role: beside a station, a set-up numbers its occupations."""
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 MAX_TITLE_LENGTH = 80
 """Largest number of characters of a cell that is a possible title."""

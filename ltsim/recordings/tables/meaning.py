@@ -197,7 +197,7 @@ def _azimuth_sense(
         azimuth = azimuth_sense_from_poses(local, polar, poses)
         if azimuth is not None:
             return azimuth, [
-                f"azimuths are interpreted as {azimuth}: with this, the points agree from all approximate stations"
+                f"azimuths are interpreted as {azimuth}: read so, all stations agree at their approximate positions"
             ]
     column = table.column(HORIZONTAL_ROLES)
     if table.positional or column is None:

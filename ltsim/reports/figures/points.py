@@ -89,7 +89,7 @@ AXES_FRACTION_BELOW_LEGEND = 0.86
 
 @style.with_figure_style
 def check_figure(check: Check) -> Figure:
-    """Half two-face differences over their limits by target, and misfit of the pointings over time."""
+    """Half two-face differences divided by their limits by target, and misfit of the pointings over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _draw_two_face_differences(above, check)
@@ -121,7 +121,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.set_grid(ax)
-    ax.set_title("Half two-face differences over their limits")
+    ax.set_title("Half two-face differences divided by their limits")
     ax.set_ylabel("fraction of the limit")
     if not names:
         ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
