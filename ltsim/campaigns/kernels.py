@@ -337,8 +337,7 @@ def _reading_force(
 ) -> None:
     """Gradient of the cost with respect to the displacement of the target, from one reading of each trial.
 
-    The reading is predicted at the displaced target; its residual and the gradient (`force`) are written, and its
-    squared weighted residual is added to `cost`.
+    Residual and gradient (`force`) are written; the squared weighted residual is added to `cost`.
     """
     j00, j01, j02 = by_point[0, 0], by_point[0, 1], by_point[0, 2]
     j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]

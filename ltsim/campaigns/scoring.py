@@ -1,8 +1,7 @@
 """Scores of calibrators relative to a known truth: errors divided by declared sigmas, and their expected distribution.
 
-A foreign calibrator is a program, or a function, that takes a recording and gives parameters. The program is
-called with the folder of a recording and the name of a file to write, which holds (`ltsim-estimates/1`; a
-`calibration.json` will do as well)
+A foreign calibrator is a program, or a function, that takes a recording and gives parameters. The program is called
+with the folder of a recording and the name of a file to write: a `calibration.json`, or
 
     {"format": "ltsim-estimates/1",
      "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},

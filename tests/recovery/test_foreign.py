@@ -48,7 +48,9 @@ def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too
     wrong = lt.recover(SCENE, trials=30, seed=2, calibrator=lambda recording: two_faces(recording, 3.0))
     assert {check.subject for check in wrong.failed_checks() if "coverage" in check.statistic} == {*ERRORS}
     assert {check.subject for check in wrong.failed_checks() if "deviation" in check.statistic} == {*ERRORS}
-    np.testing.assert_array_equal(right.arrays._stack_attribute("estimate"), wrong.arrays._stack_attribute("estimate"))
+    np.testing.assert_array_equal(
+        right.arrays._stack_attribute("estimates"), wrong.arrays._stack_attribute("estimates")
+    )
 
 
 def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None:
