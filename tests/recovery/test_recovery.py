@@ -68,7 +68,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     tight = stats.norm.isf(0.5 * FALSE_ALARM_RATE / (2 * z.shape[1]))
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
-    for what in ("targets", "stations"):
+    for what in ("target_mean_square", "station_mean_square"):
         assert np.mean([getattr(t.network_score, what) for t in trials.trials_with_result]) == pytest.approx(
             1.0, abs=0.08
         )
