@@ -48,7 +48,7 @@ def test_the_constant_that_is_off_stands_out_and_lies_in_its_interval(
 def test_a_diagnosis_tells_which_tracker_is_off_in_what_and_how_much(
     off: str, name: str, size: float, faces: int
 ) -> None:
-    """A constant that differs by one standard deviation of its prior, such as a tilt of 15 urad, is none that is off."""
+    """A constant within one standard deviation of its prior, such as a tilt of 15 urad, is not reported."""
     scenario = scenario_of(setups=100, trackers=3, off=off, errors={name: size}, faces=faces)
     recording, truth = lt.simulate(scenario, seed=23)
     first = lt.diagnose(recording).findings[0]
