@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.campaigns.injection import _curve_row
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording
+from ltsim.simulation.inject import DetectionCurve
 
 TWICE = {"work.faces": 2}
 
@@ -101,6 +104,14 @@ def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) ->
     _, truth = lt.inject(recording, "station-bump:S2", noncentrality=200.0, seed=3)
     there = recording.time[recording.station == recording.stations.index("S2")]
     assert there.min() < truth.injected_effects[0].to_json()["shape"]["time"] < there.max()
+
+
+def test_a_row_of_the_curve_has_the_columns_of_its_table() -> None:
+    cause = SimpleNamespace(largest_changes={"distance_um": 20.0, "azimuth_urad": 3.0, "elevation_urad": 5.0})
+    outcome = {"detections": True, "placed": True, "named": False, "right": False}
+    curve = DetectionCurve("range-step", (), (_curve_row(25.0, [cause], [outcome] * 4),))
+    (row,) = curve.table().json()
+    assert (row["largest_urad"], row["placed"], row["named"], row["named_low"]) == (5.0, 4, 0, 0.0)
 
 
 @pytest.mark.long
