@@ -69,7 +69,7 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
         np.testing.assert_allclose(np.mod(got[:, 1] - want[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
     sense = "clockwise" if clockwise else "counter-clockwise"
     notes = " ".join(recording.notes)
-    assert f"azimuths are interpreted as {sense}: with this, the points agree" in notes
+    assert f"azimuths are interpreted as {sense}: read so, all stations agree" in notes
     assert "is interpreted as zenith angles" in notes
     assert "2 observations are switched off" in notes
     assert recording.has_clock
@@ -143,7 +143,7 @@ def test_the_real_reports() -> None:
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(file)
     assert len(recording) == 500
-    assert any("azimuths are interpreted as clockwise: with this" in note for note in recording.notes)
+    assert any("azimuths are interpreted as clockwise: read so" in note for note in recording.notes)
     polar = read(file.with_name("Polar_measurements_20Sep21.txt"), hints=Hints(azimuth="clockwise"))
     rows = {tuple(np.round(r, 9)) for r in recording.readings}
     assert all(tuple(np.round(r, 9)) in rows for r in polar.readings)

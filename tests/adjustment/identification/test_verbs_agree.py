@@ -14,7 +14,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.arrays import Ints
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
-from ltsim.reports.sections import section_of
+from ltsim.reports.sections import result_section
 from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
@@ -161,5 +161,5 @@ def test_noise_below_the_declared_does_not_conceal_a_wrong_constant(factor: floa
     assert "The distances from S2 are 0.24" in lt.check(wrong).sentence
     calibrated = lt.calibrate(wrong)
     assert calibrated.noise_estimated == (factor > 1.0)
-    assert "The distances from S2 are 0.24" in section_of(calibrated).text()
+    assert "The distances from S2 are 0.24" in result_section(calibrated).text()
     assert calibrated.fit.chi2 < 1.2 * calibrated.fit.dof
