@@ -161,5 +161,5 @@ def test_noise_below_the_declared_does_not_conceal_a_wrong_constant(factor: floa
     assert "The distances from S2 are 0.24" in lt.check(wrong).sentence
     calibrated = lt.calibrate(wrong)
     assert calibrated.noise_estimated == (factor > 1.0)
-    assert "The distances from S2 are 0.24" in result_section(calibrated).text()
+    assert "The distances from S2 are 0.24" in result_section(calibrated).terminal_text()
     assert calibrated.fit.chi2 < 1.2 * calibrated.fit.dof
