@@ -192,6 +192,10 @@ class NoiseBank:
         fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
+    def _excess_over_diagonal_form(self, i: int, ratio: float, residual: Floats, extension: Floats) -> float:
+        """Log restricted likelihood ratio of a hypothesis minus its diagonal form `ratio`; 0 without a basis."""
+        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(i, residual, extension) - ratio
+
     def _fine_log_evidence(
         self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
@@ -222,10 +226,7 @@ class NoiseBank:
             if rank < N_EVALUATED_FAMILIES:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
-                if self.basis is not None:
-                    value += self.log_restricted_likelihood_ratio(likeliest, residual, extension) - float(
-                        ratio[likeliest, 0]
-                    )
+                value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, extension)
             entries.append((value, self.hypotheses[likeliest]))
         for amount, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
             effect = amount.most_likely_effect(residual, redundancy)
@@ -259,15 +260,11 @@ class NoiseBank:
         for i, hypothesis in enumerate(self.hypotheses):
             members.setdefault(hypothesis.effect, []).append(i)
         evidence = np.array([float(log_sum_exp((ratio + prior[self.family])[same])) for same in members.values()])
-        ranked = []
-        for same, value in [
-            (list(members.values())[i], evidence[i]) for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]
-        ]:
-            best = same[int(np.argmax(ratio[same]))]
-            exact = float(ratio[best])
-            if self.basis is not None:
-                exact = self.log_restricted_likelihood_ratio(best, residual, np.zeros((len(residual), 0)))
-            ranked.append((self.hypotheses[best], float(value + exact - ratio[best])))
+        none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
+        for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]:
+            best = groups[i][int(np.argmax(ratio[groups[i]]))]
+            excess = self._excess_over_diagonal_form(best, float(ratio[best]), residual, none)
+            ranked.append((self.hypotheses[best], float(evidence[i]) + excess))
         return ranked
 
     def ranked_group_noise(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[GroupNoise, float]]:
@@ -310,7 +307,7 @@ def reml_gain_function(
 ) -> Callable[[Floats], Floats]:
     """Function from sizes (k,) to the gain (k,) of restricted log likelihood for each variance parameter.
 
-    Each reading depends on one parameter at most. The effect acts on the standard deviations `size_sigmas` (n, 3);
+    Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3);
     residuals (m,) are whitened by those of the space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
