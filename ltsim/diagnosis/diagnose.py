@@ -193,7 +193,10 @@ def _select_model(case: SelectionState, threshold: float, compared: ConstantComp
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
-    if contradicting and sum(contradiction.evidence for contradiction in contradicting) > model.score:
+    if (
+        contradicting
+        and contradicting[0].joint_evidence - model.score > (len(contradicting) - len(model.members)) * threshold
+    ):
         case.release_priors(contradicting)
         model = case.searcher.select_model(threshold, requires_member=False)
     return _alternate_mean_and_variance(case, model, threshold)
