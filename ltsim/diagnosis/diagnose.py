@@ -20,10 +20,10 @@ from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio
-from ltsim.diagnosis.findings import ExplainedRecording, name_probabilities
+from ltsim.diagnosis.findings import ExplainedRecording
 from ltsim.diagnosis.findings_from_tests import instrument_finding
 from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
-from ltsim.diagnosis.hypotheses import Model, most_probable_name
+from ltsim.diagnosis.hypotheses import Model, most_probable_name, name_probabilities
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,
     HistoryExpectation,

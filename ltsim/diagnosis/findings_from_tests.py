@@ -7,7 +7,7 @@ from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
-from ltsim.diagnosis.findings import name_probabilities
+from ltsim.diagnosis.hypotheses import name_probabilities
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
