@@ -7,8 +7,8 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
+from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
-from ltsim.adjustment.identification.selection import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding

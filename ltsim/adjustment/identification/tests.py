@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
@@ -18,7 +19,6 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
