@@ -17,6 +17,7 @@ from ltsim.adjustment.identification.cause_selection import (
 )
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
@@ -45,6 +46,8 @@ gain is real.
 """
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
+MAX_CAUSES_BEFORE_CENTRING = 3
+"""Number of simple causes whose evidence together is compared with that of centring errors."""
 N_FITTED_HYPOTHESES = 4
 """Number of hypotheses that are fitted in a step, in the order of their approximate gains."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
@@ -105,10 +108,25 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         best = _refine_motion_time(tried[0][1])
+        if isinstance(tried[0][0].model_change, CentringChange):
+            best = max(best, _fit_with_other_causes(fit, needed), key=lambda made: made.log_evidence)
         chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), required)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
     return _compare_again(fit, min_gain, beginning, last, required)
+
+
+def _fit_with_other_causes(fit: NetworkFit, needed: float) -> NetworkFit:
+    """Fit with a few more hypotheses, none of them centring errors, each with a gain of at least `needed`.
+
+    Displacements of all targets of a set-up also fit the sum of several simple causes. There may be none.
+    """
+    for _ in range(MAX_CAUSES_BEFORE_CENTRING):
+        tried = _fit_best_hypotheses(fit, allows_centring=False)
+        if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
+            break
+        fit = tried[0][1]
+    return fit
 
 
 def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
@@ -200,7 +218,11 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 
 
 def _fit_best_hypotheses(
-    fit: NetworkFit, min_count: float = 0.0, replaced_hypothesis: Hypothesis | None = None
+    fit: NetworkFit,
+    min_count: float = 0.0,
+    replaced_hypothesis: Hypothesis | None = None,
+    *,
+    allows_centring: bool = True,
 ) -> list[tuple[Hypothesis, NetworkFit]]:
     """Fitted hypotheses with the largest approximate gains (at least `min_count`), the best first.
 
@@ -215,6 +237,8 @@ def _fit_best_hypotheses(
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
         if promised <= max(min_count, 0.0) or attempts >= N_FITTED_HYPOTHESES or best > promised:
             break
+        if isinstance(hypothesis.model_change, CentringChange) and not allows_centring:
+            continue
         if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue
         if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
