@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import ceil
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
-from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio
@@ -31,7 +30,6 @@ from ltsim.diagnosis.instruments import (
     find_contradictions,
 )
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
-from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS
 from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
@@ -109,17 +107,17 @@ def diagnose(
         use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
-    trials = max(MIN_SIMULATED_RECORDINGS, ceil(1.0 / level))
-    case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
-    beginning, detection, model, fitted = _search_recording(case, level, compared)
+    case = SelectionState(baseline, use, seed, level, tests_ordinary_constants=history is None)
+    detection = detect(case.searcher, case.noise_bank)
+    mismatch = detection.p_value < level
+    beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
     if selection is not None and model.members:
         restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
-            del case, beginning, detection, model, fitted  # their memory is for the second search
+            del case, beginning, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
-            case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
-            beginning, detection, model, fitted = _search_recording(case, level, compared)
-    mismatch = detection.p_value < level
+            case = SelectionState(baseline, use, seed, None, tests_ordinary_constants=history is None)
+            beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
     settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
     odd = [instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)][
@@ -154,13 +152,12 @@ ConstantComparison = Callable[[Adjustment, float], list[ConstantContradiction]]
 
 
 def _search_recording(
-    case: SelectionState, level: float, compared: ConstantComparison
-) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Detection, Model, Refit]:
-    """Space and hypotheses of the initial network, its detection result, the selected model if rejected, its refit."""
+    case: SelectionState, compared: ConstantComparison, *, mismatch: bool
+) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
+    """Space and hypotheses of the initial network, the model (empty without a `mismatch`), and its refit."""
     beginning = case.space, case.searcher.catalogue_signatures
-    detection = detect(case.searcher, case.noise_bank)
-    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, compared) if detection.p_value < level else case.empty_model
-    return beginning, detection, *_refit_model(case, model)
+    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, compared) if mismatch else case.empty_model
+    return beginning, *_refit_model(case, model)
 
 
 def _contradicting_constants(
@@ -196,7 +193,10 @@ def _select_model(case: SelectionState, threshold: float, compared: ConstantComp
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
-    if contradicting and sum(contradiction.evidence for contradiction in contradicting) > model.score:
+    if (
+        contradicting
+        and contradicting[0].joint_evidence - model.score > (len(contradicting) - len(model.members)) * threshold
+    ):
         case.release_priors(contradicting)
         model = case.searcher.select_model(threshold, requires_member=False)
     return _alternate_mean_and_variance(case, model, threshold)

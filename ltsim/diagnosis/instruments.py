@@ -17,6 +17,7 @@ from ltsim.calibration.evidence import (
     forward_select,
     likelihood_information,
     log_evidence,
+    log_marginal_likelihood,
     log_sum_exp,
     score_test,
     with_plausible_priors,
@@ -75,7 +76,10 @@ class ConstantContradiction:
     difference, sigma : float
         [SI], from the other instruments, from zero for a corrected instrument, or from its history.
     evidence : float
-        Log marginal likelihood ratio, prior odds included.
+        Log marginal likelihood ratio given the other contradictions, prior odds included.
+    joint_evidence : float
+        Log evidence of all contradictions of the recording together against the prior of the adjustment, prior odds
+        included: comparable with that of a model of effects.
     p_value : float
         Two-sided p-value of the difference, corrected for all constants compared.
     against : str
@@ -89,6 +93,7 @@ class ConstantContradiction:
     difference: float
     sigma: float
     evidence: float
+    joint_evidence: float
     p_value: float
     against: str
     rivals: Mapping[Parameter, float]
@@ -198,12 +203,23 @@ def compare_constants(
             reported.append(k)
     if not reported:
         return []
+    changed = [
+        np.log(share)
+        + log_marginal_likelihood(
+            likelihood, expected.mean, expected.covariance + size**2 * ways[reported].T @ ways[reported]
+        )
+        for size, share in SIZE_PRIOR.items()
+    ]
+    unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
+    joint = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(every[np.ix_(reported, reported)])
     gap, sigma = covariance @ ways[reported] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expected.changes[k].instruments[0], expected.changes[k].constant] for k in reported]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
-        _contradiction_of_change(adjustment, expected.changes, selected[k], k, float(g * u), float(s * u), float(c))
+        _contradiction_of_change(
+            adjustment, expected.changes, selected[k], k, joint + odds * len(reported), *map(float, (g * u, s * u, c))
+        )
         for k, g, s, c, u in zip(reported, gap, sigma, chance, units, strict=True)
     ]
 
@@ -213,11 +229,15 @@ def _contradiction_of_change(
     changes: Sequence[ConstantChange],
     logs: Floats,
     k: int,
+    joint: float,
     gap: float,
     sigma: float,
     chance: float,
 ) -> ConstantContradiction:
-    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
+    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives.
+
+    `joint` is the log evidence of all contradictions together.
+    """
     change, parameters = changes[k], adjustment.construction.parameters
     rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
     share = normalised_probabilities(logs[rivals])
@@ -227,6 +247,7 @@ def _contradiction_of_change(
         difference=gap,
         sigma=sigma,
         evidence=float(logs[k]),
+        joint_evidence=joint,
         p_value=chance,
         against=change.reference_text,
         rivals={
