@@ -87,8 +87,12 @@ def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
     rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
-        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(VerdictCase.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
+        rest_text = "the other readings agree with the declared noise."
+        if adjustment.cause_sentences:
+            sentence = f"{shown} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
+            return Verdict(VerdictCase.SINGLE_ERRORS, sentence[0].upper() + sentence[1:], False)
+        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; {rest_text}"
+        return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
             f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "

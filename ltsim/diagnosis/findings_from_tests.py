@@ -100,6 +100,7 @@ EFFECT_BY_CAUSE = {
     ("station-drift", "position"): "station-settling",
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
+    ("centring", "position"): "nest-lift",
     ("names", "position"): "target-swap",
     ("names", "point"): "target-swap",
     ("unit", "position"): "wrong-unit",
