@@ -222,7 +222,7 @@ def scaling(short: bool) -> None:
         )  # fmt: skip
     print("\nCost against the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
-    print(align_columns(heads, rows, text_columns=0))
+    print(align_columns(heads, rows, n_text_columns=0))
 
 
 def trials_against_time(short: bool) -> None:
@@ -242,7 +242,7 @@ def trials_against_time(short: bool) -> None:
         "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
     )
     print("solver, written; two processes, wall clock\n")
-    print(align_columns(["trials", "s", "trials a second"], rows[1:], text_columns=0))
+    print(align_columns(["trials", "s", "trials a second"], rows[1:], n_text_columns=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 

@@ -372,7 +372,7 @@ STATION_COORDINATES_TABLE = Table(
     "coordinates as a page shows them",
     (
         *texts(name="of the target or station"),
-        *numbers(shown=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+        *numbers(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
         *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
     ),
 )

@@ -28,12 +28,12 @@ NEW_POINT_ERRORS_TABLE = Table(
     (
         *texts(calibration="its name"),
         *numbers(
-            shown=".1f",
+            display_format=".1f",
             error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
-        *numbers(shown=".3f", share_removed="of the mean square above the floor"),
+        *numbers(display_format=".3f", share_removed="of the mean square above the floor"),
     ),
 )
 
@@ -121,7 +121,7 @@ def compare_calibrations(
         raise SetupError("there is no calibration to judge")
     values = np.array([*truth.instrument_values.values()]).reshape(len(here.trackers_in_use), -1)
     work = make_geometry(make_validation_scenario(str(validation_scenario), here, place), seed, VALIDATION_STREAM_KEY)
-    recording, there = measure_trial(work, seed, trial, values=values, stream_key=VALIDATION_STREAM_KEY)
+    recording, there = measure_trial(work, seed, trial, true_instrument_errors=values, stream_key=VALIDATION_STREAM_KEY)
 
     def error(points: Any) -> float:
         return cloud_error(recording, points, there.target_points)

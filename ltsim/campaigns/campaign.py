@@ -66,7 +66,7 @@ class WorkerSettings:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.n_processes, required="jobs")
+        check_bounds(jobs=self.n_processes, required_argument="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
@@ -339,7 +339,7 @@ def _iterate_results(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in given), jobs, ordered=False)
+        yield from run_parallel(run_task, ((task,) for task in given), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)

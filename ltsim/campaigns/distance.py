@@ -176,7 +176,9 @@ class BatchDistance(BatchCalibrator):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
                 design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ determined[trial])
                 if self.uses_absolute_deviations:  # every step but the first is short
-                    step = solve_least_absolute(design, -gap, start=np.zeros(design.shape[1]) if iteration else None)
+                    step = solve_least_absolute(
+                        design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
+                    )
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
                 unknowns[:, trial] += determined[trial] @ step

@@ -224,7 +224,7 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failure_sentences()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
+    check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):

@@ -122,7 +122,7 @@ def run_trials(
     """
     made = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
     work = ((made, seed, index, settings) for index in range(trials))
-    yield from run_parallel(run_trial, work, min(jobs, trials), batch=4)
+    yield from run_parallel(run_trial, work, min(jobs, trials), calls_per_batch=4)
 
 
 def with_errors_from_prior(scenario: Scenario) -> Scenario:

@@ -136,13 +136,13 @@ class CampaignFolder:
         """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, durable=True)
+            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
-            write_files(self.folder, {name: content}, durable=True)
+            write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
@@ -208,7 +208,7 @@ class CampaignFolder:
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
             file = self.folder / DIGESTS_FILE
             if file.exists() and file.read_bytes() != lines:
-                write_files(self.folder, {DIGESTS_FILE: lines}, durable=True)
+                write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:

@@ -64,7 +64,7 @@ class TrialEvaluator:
 
     def _determines_frame(self, use: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_UNDETERMINED_ROTATION_RATIO)
+        return determines_pose(self._true_targets(1)[:, :, 0], use, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO)
 
     def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None

@@ -57,7 +57,7 @@ def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
         yield int(key), group
 
 
-def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+def as_floats(values: ArrayLike, shape: tuple[int, ...], argument_name: str) -> Floats:
     """`values` as a finite float array of `shape`, in which -1 stands for any length.
 
     Raises ModelError when the shape differs or a value is not finite; the message names the array.
@@ -65,7 +65,7 @@ def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
-        raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
+        raise ModelError(f"{argument_name} has shape {array.shape}, expected {shape} (-1: any length)")
     if not np.all(np.isfinite(array)):
-        raise ModelError(f"{name} contains a value that is not finite")
+        raise ModelError(f"{argument_name} contains a value that is not finite")
     return array

@@ -108,7 +108,7 @@ def run_searches(
     work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
         for number, layout in run_parallel(
-            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, ordered=False
+            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, keeps_order=False
         ):
             finished += 1
             share(finished / len(tasks))

@@ -74,7 +74,7 @@ def plan(
     >>> made.to_dataframe("stations").shape
     (3, 9)
     """
-    check_bounds(starts=starts, seed=seed, jobs=jobs, required="jobs")
+    check_bounds(starts=starts, seed=seed, jobs=jobs, required_argument="jobs")
     check_mapping("move", move)
     file, scenario = load_plan_and_scenario(source)
     if move is not None:

@@ -199,7 +199,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     else:
         triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS_NAME)
+    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), is_closed=body != WALLS_NAME)
     return np.asarray(np.round(places / MILLIMETRE))
 
 
