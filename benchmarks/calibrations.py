@@ -103,7 +103,9 @@ def peers(trials: int) -> None:
     recordings = [recording_of_trial(truth, block, k) for k in range(trials)]
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
-    known = [lambda r=r: adjust(r, engine.construction, start=engine.batch_network.nominal_state) for r in recordings]
+    known = [
+        lambda r=r: adjust(r, engine.construction, start_state=engine.batch_network.nominal_state) for r in recordings
+    ]
     rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))
     solvers: dict[str, Solver | None] = {
         "numpy Gauss-Newton, analytic": numpy_gauss_newton,

@@ -277,22 +277,22 @@ def are_collinear(points: Floats) -> bool:
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
-def alignment_distances(points: Floats, goals: Floats, motion: tuple[Floats, Floats]) -> Floats:
+def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Floats, Floats]) -> Floats:
     """Distances (k,) [m] of points (k, 3) from their goals after rotation and translation."""
-    return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goals, axis=1))
+    return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goal_points, axis=1))
 
 
-def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
+def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rotation about the vertical and translation that align points (k >= 2, 3).
 
     Raises NetworkError for points on one vertical.
     """
-    a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
+    a, b = (source - source.mean(axis=0))[:, :2], (goal_points - goal_points.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
         raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     rotation = rotation_about_z(float(yaw))
-    return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
+    return rotation, np.asarray(goal_points.mean(axis=0) - rotation @ source.mean(axis=0))
 
 
 @dataclass(frozen=True)

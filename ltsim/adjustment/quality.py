@@ -121,10 +121,10 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     )
 
 
-def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
+def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
     """Root sum of squares [m] after a rigid fit."""
     try:
-        return float(np.linalg.norm(alignment_distances(points, goals, align_rigidly(points, goals))))
+        return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
         return float("inf")
 

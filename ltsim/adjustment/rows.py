@@ -55,12 +55,12 @@ class GaugeRows(ReferenceLengths):
         single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(single)
 
-    def decorrelate_scaled(self, single: Floats) -> Floats:
+    def decorrelate_scaled(self, length_values: Floats) -> Floats:
         """Values (g, ...), in the standard deviation of each length, transformed to independent ones."""
         return (
-            single
+            length_values
             if self.correlation_root is None
-            else scipy.linalg.solve_triangular(self.correlation_root, single, lower=True)
+            else scipy.linalg.solve_triangular(self.correlation_root, length_values, lower=True)
         )
 
     def __len__(self) -> int:

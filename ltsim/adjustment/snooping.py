@@ -294,12 +294,12 @@ def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float)
     return np.asarray(w > limit * scale)
 
 
-def _mostly_rejected_setups(rejected: Bools, problem: NetworkProblem) -> Bools:
+def _mostly_rejected_setups(is_rejected: Bools, problem: NetworkProblem) -> Bools:
     """Flags (S,) of the set-ups with more rejected readings (n, 3) than used ones."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
-        for rows in (rejected, problem.used_readings)
+        for rows in (is_rejected, problem.used_readings)
     )
     return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
 
@@ -315,15 +315,15 @@ def _whitened_residuals_of(problem: NetworkProblem, readings: Floats) -> Floats:
 
 
 def prediction_sigmas(
-    problem: NetworkProblem, solution: Solution[NetworkState], omitted: Bools, prediction: Prediction | None = None
+    problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
-    """Standard deviations (k,) of the deviations of `omitted` (n, 3) readings from predictions, over the declared.
+    """Standard deviations (k,) of the deviations of `is_omitted` (n, 3) readings from predictions, over the declared.
 
     The `prediction` is that of the solution's state, computed here by default.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
-    rows = to_dense(system.design[np.flatnonzero(omitted[problem.used_readings])])
+    rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.used_readings])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
 
@@ -341,11 +341,11 @@ def _test_readings(
 
 
 def _test_rejected_again(
-    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], rejected: Bools, limit: float
+    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], is_rejected: Bools, limit: float
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
-    out = rejected & problem.used_readings
+    out = is_rejected & problem.used_readings
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
@@ -355,7 +355,7 @@ def _test_rejected_again(
         new &= w > 0.5 * w.max()
     if prediction is not None:
         spread = prediction_sigmas(problem, solution, out, prediction)
-        still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
+        still, alone = np.zeros_like(is_rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _whitened_residuals_of(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
@@ -367,7 +367,7 @@ def _test_rejected_again(
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= (
             still
-            | (rejected & reduced.structure.is_unmeasured_target[targets][:, None])
+            | (is_rejected & reduced.structure.is_unmeasured_target[targets][:, None])
             | (problem.used_readings & alone[targets][:, None])
         )
         new |= problem.used_readings & lost[stations][:, None]

@@ -219,9 +219,9 @@ class NetworkInitialiser:
                 continue
             level = self._is_levelled and bool(self._frame.is_levelled[station])
             sight = self._readings.select_rows(rows)
-            pose = fit_pose(sight, places[recording.target[rows]], level=level, position=stand)
+            pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
             if pose is None and level and stand is not None:  # a wrong range or elevation leaves the heading
-                pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], level=True, position=stand)
+                pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
                 return True

@@ -48,9 +48,9 @@ class Verdict:
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
-def verdict_on(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
-    """The verdict on an adjustment, by a global test at a two-sided `level`."""
-    judged, open_ = _verdict_from_tests(adjustment, level), adjustment_warnings(adjustment)
+def verdict_on(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> Verdict:
+    """The verdict on an adjustment, by a global test at a two-sided `alpha`."""
+    judged, open_ = _verdict_from_tests(adjustment, alpha), adjustment_warnings(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -58,13 +58,13 @@ def verdict_on(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
     return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
+def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
     """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
-    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
     by_w, wrong = len(outliers), _reading_count_text(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
@@ -81,7 +81,7 @@ def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
     if sigma0 < low:
         sentence = (
             f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
-            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, level)}"
+            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
     rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
@@ -113,7 +113,7 @@ def _rejection_reasons(adjustment: Adjustment) -> str:
     )
 
 
-def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
+def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> str:
     """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
     Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
@@ -125,7 +125,7 @@ def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL
         use = problem.used_readings[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
         square = float(np.sum(scaled[use, k] ** 2))
-        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
+        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > alpha / 2:
             continue
         factor = np.sqrt(square / redundancy)
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():

@@ -352,14 +352,14 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.applied_values[at[recording.instrument]]
 
 
-def _parameter_entries(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in units of display, with the `applied` values (I, p) [SI] that differ from them."""
+def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
+    """Entries of the estimates in units of display, with those of `applied_values` (I, p) [SI] that differ."""
     several = len(arrays.instruments) > 1
     entries = []
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
             value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
-            differs = abs(applied[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
+            differs = abs(applied_values[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
                 value=float(value / factor),
@@ -369,7 +369,7 @@ def _parameter_entries(arrays: CalibrationArrays, applied: Floats) -> tuple[Para
                 held=bool(arrays.is_fixed[i, k]),
                 prior_rejected=bool(arrays.is_prior_rejected[i, k]),
             )
-            further = {"applied": float(applied[i, k] / factor)} if differs else {}
+            further = {"applied": float(applied_values[i, k] / factor)} if differs else {}
             named = {"instrument": instrument} if several else {}
             entries.append(entry.model_copy(update={**further, **named}))
     return tuple(entries)

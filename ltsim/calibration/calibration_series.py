@@ -198,14 +198,14 @@ class CalibrationSeries(ValueEquality):
             joint[i, :, i] += pull[i] @ remaining[i]
         return joint
 
-    def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, with p-values.
+    def change(self, first_number: int, second_number: int) -> ChangeEntry:
+        """Change from calibration number `first_number` to number `second_number`: later minus earlier, with p-values.
 
         Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
         of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
-        contrast[0, [first, second]] = -1.0, 1.0
+        contrast[0, [first_number, second_number]] = -1.0, 1.0
         gap, spread = self._contrasts_and_covariance(contrast, np.eye(len(parameters)))
         sigma = np.sqrt(np.where(self._mean_variance_reduction > MAX_UNINFORMATIVE_GAIN, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
@@ -218,7 +218,7 @@ class CalibrationSeries(ValueEquality):
             *self._contrasts_and_covariance(contrast, self._informative_combinations)
         ).model_dump()
         return ChangeEntry(
-            **test | {"from": self.labels[first], "to": self.labels[second]},
+            **test | {"from": self.labels[first_number], "to": self.labels[second_number]},
             changed=tuple(parameters[k].name for k in changed),
             parameters=tuple(
                 DifferenceEntry(

@@ -67,10 +67,10 @@ def calibrate_distance(
     problem, norm, notes = DistanceProblem(usable, built, prior), DISTANCE_METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
         estimate = solve_equation_9(
-            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start=start, fixed_mask=held.ravel()
+            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start_values=start, fixed_mask=held.ravel()
         )
     else:
-        estimate = solve_distances(problem, norm, start=start, fixed_mask=held.ravel())
+        estimate = solve_distances(problem, norm, start_values=start, fixed_mask=held.ravel())
         notes = compare_with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]

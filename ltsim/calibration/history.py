@@ -175,9 +175,9 @@ class History(ResultFile):
             ),
         }
 
-    def _table_by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> ColumnValues:
+    def _table_by_calibration(self, rows: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter."""
-        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, numbers, strict=True)}
+        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, rows, strict=True)}
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:

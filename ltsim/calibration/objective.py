@@ -81,9 +81,9 @@ class DistanceProblem:
         self._check_matrix_size(len(a))
         return a, b, target[a] * len(self.recording.targets) + target[b]
 
-    def _check_matrix_size(self, count: int) -> None:
-        if count * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
-            raise NetworkError(f"the distance objective has {count} distances, too many; use the network method")
+    def _check_matrix_size(self, n_rows: int) -> None:
+        if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
+            raise NetworkError(f"the distance objective has {n_rows} distances, too many; use the network method")
 
     def distances_at(self, unknowns: Floats) -> SetDistances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""

@@ -91,9 +91,9 @@ class EarlierCalibrations:
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
     def replace_nominal_prior(
-        self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
+        self, nominal_prior: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
     ) -> ParameterPrior:
-        """Prior of a recording's instruments: the earlier calibrations' if they contain the parameter, else `nominal`.
+        """Prior of a recording's instruments: that of the earlier calibrations, or the nominal one of others.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class EarlierCalibrations:
             )
         here = [construction.parameter_names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
-        mean, covariance = nominal.mean.copy(), nominal.covariance.copy()
+        mean, covariance = nominal_prior.mean.copy(), nominal_prior.covariance.copy()
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
                 names = ", ".join(self.instruments)
@@ -116,7 +116,7 @@ class EarlierCalibrations:
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
-        return ParameterPrior(mean, covariance, nominal.is_fixed)
+        return ParameterPrior(mean, covariance, nominal_prior.is_fixed)
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,10 @@ class ParameterSelection:
         if self.earlier_calibrations is not None:
             nominal = self.earlier_calibrations.replace_nominal_prior(nominal, construction, recording.instruments)
 
-        def places(*wanted: str) -> list[int]:
+        def places(*pattern: str) -> list[int]:
             return [
                 k
-                for name in wanted
+                for name in pattern
                 for k in flat_parameter_indices(name, construction.parameter_names, recording.instruments)
             ]
 

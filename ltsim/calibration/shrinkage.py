@@ -209,9 +209,9 @@ class ScaledPrior:
         applied = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
         return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
 
-    def estimate(self, scale: float) -> Floats:
+    def estimate(self, prior_scale: float) -> Floats:
         """Estimate (q,) under a scale."""
-        return self._basis @ (self._information_vector / (self._strength + scale**-2))
+        return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
         """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
@@ -234,14 +234,14 @@ class ScaledPrior:
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def point_errors(
-        self, point_error_form: Floats, applied: Floats, prior_mean: Floats | float = 0.0
+        self, point_error_form: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
         scale = self.scale_of_applied_values
         mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         rest = float(np.sum(spread * point_error_form))
-        missed = mean - applied
+        missed = mean - applied_values
         return float(np.sqrt(mean @ point_error_form @ mean + rest)), float(
             np.sqrt(missed @ point_error_form @ missed + rest)
         )
@@ -299,16 +299,16 @@ class HeldOutTarget:
     estimate_shift: Floats
     """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
 
-    def sum_of_squares(self, values: Floats, fixed_indices: Ints) -> float:
+    def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
         """Sum of squares with the parameters `fixed_indices` at zero.
 
-        `values` (q,) are the estimates from all readings.
+        `parameters` (q,) are the estimates from all readings.
         """
         if not len(fixed_indices):
             return float(self.held_out_residual @ self.held_out_residual)
         moved = np.linalg.solve(
             self.covariance[np.ix_(fixed_indices, fixed_indices)],
-            self.estimate_shift[fixed_indices] - values[fixed_indices],
+            self.estimate_shift[fixed_indices] - parameters[fixed_indices],
         )
         residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ moved
         return float(residual @ residual)

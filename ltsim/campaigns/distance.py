@@ -116,10 +116,12 @@ class BatchDistance(BatchCalibrator):
         visible, share = set_membership(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
         values, moved = (
-            self._least_squares_values(block) if self.method == "distance" else self._values_by_trial(block, wanted)
+            self._least_squares_values(block)
+            if self.method == "distance"
+            else self._values_by_trial(block, trial_numbers)
         )
         fit = self._adjusted_targets(block, values)
         spread = (
@@ -154,12 +156,13 @@ class BatchDistance(BatchCalibrator):
                 break
         return values, moved
 
-    def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
+    def _values_by_trial(self, block: TrialBatch, trial_mask: Ints) -> tuple[Floats, Floats]:
         """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial] for trial in wanted.tolist()
+            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial]
+            for trial in trial_mask.tolist()
         }
         determined = {
             trial: self._estimated_combinations
@@ -168,7 +171,7 @@ class BatchDistance(BatchCalibrator):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
-            active = wanted[moved[wanted] >= CONVERGED_CHANGE]
+            active = trial_mask[moved[trial_mask] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)

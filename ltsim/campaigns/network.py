@@ -139,17 +139,17 @@ class BatchNetwork:
         )
         return to_dense(system.design), system.whitened_residuals
 
-    def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
+    def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
         They equal those of `MeasurementModel.linearise`.
         """
         recording, state = self.recording, self.state
-        by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(
-            recording.readings, by_pose, by_target, shared.value_derivatives, np.zeros((len(recording), 3, 0))
+            recording.readings, by_pose, by_target, quantities.value_derivatives, np.zeros((len(recording), 3, 0))
         )
 
     @cached_property

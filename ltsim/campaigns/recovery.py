@@ -258,12 +258,12 @@ def recover(
     return Recovery.from_trials(made, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _require_same_parameters(trial: TrialScore, before: Sequence[TrialScore | None]) -> None:
+def _require_same_parameters(trial: TrialScore, earlier_trials: Sequence[TrialScore | None]) -> None:
     """Check that a trial has the parameters of the first trial with a result; raises RecordError."""
-    first = next((other for other in before if other is not None), trial)
+    first = next((other for other in earlier_trials if other is not None), trial)
     if trial.parameter_names != first.parameter_names:
         differing = sorted({*trial.parameter_names} ^ {*first.parameter_names})[0]
-        raise RecordError(f"trial {len(before)}: the calibrator gives {differing} in a part of the trials only")
+        raise RecordError(f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only")
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:

@@ -81,10 +81,10 @@ class CampaignFolder:
         """Path of a shard's file."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    def shards(self, below: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order; only those with numbers `below` a limit."""
+    def shards(self, max_shards: int | None = None) -> list[Path]:
+        """Paths of the finished shards in order; only those with numbers `max_shards` a limit."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
-        return [path for path in paths if below is None or path.name < self.shard_path(0, below).name]
+        return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
         """Rows of a finished shard; raises SetupError for a damaged one."""

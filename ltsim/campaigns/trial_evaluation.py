@@ -62,9 +62,11 @@ class TrialEvaluator:
         """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
         return self._determines_frame(self.is_measured)
 
-    def _determines_frame(self, use: Bools) -> Bools:
+    def _determines_frame(self, used_targets: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._true_targets(1)[:, :, 0], use, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO)
+        return determines_pose(
+            self._true_targets(1)[:, :, 0], used_targets, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+        )
 
     def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None

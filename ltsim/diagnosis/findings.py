@@ -286,7 +286,7 @@ class ExplainedRecording:
         at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == at][0])
 
-    def _estimates_of(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[ParameterEstimate, ...]:
+    def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
         """Sizes of a member, in rows in place of time for a recording without clock."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
@@ -295,7 +295,7 @@ class ExplainedRecording:
         ]
         if isinstance(hypothesis.effect, BASELINE_EFFECT_TYPES):
             return self._constants_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, others, refitted)
+        estimates = self.state.searcher.estimates(hypothesis, other_members, refitted)
         return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
 
 
@@ -374,9 +374,9 @@ def law_text(law: EmpiricalLaw, driver: str) -> str:
     return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 
-def _non_empty_entries(more: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Entries with a non-empty value."""
-    return {key: value for key, value in more.items() if value}
+    return {key: value for key, value in entries.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:

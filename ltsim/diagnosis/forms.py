@@ -41,9 +41,9 @@ MAX_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
 
-def min_promising_evidence(best: float) -> float:
+def min_promising_evidence(best_evidence: float) -> float:
     """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
-    return 0.5 * best - 5.0
+    return 0.5 * best_evidence - 5.0
 
 
 def evaluate_forms(

@@ -179,10 +179,11 @@ class Ranking:
         """Posterior probability of an unmodelled cause."""
         return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
 
-    def posterior_probability_of(self, chosen: Callable[[Hypothesis], bool]) -> float:
-        """Posterior probability of the `chosen` hypotheses together."""
+    def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
+        """Posterior probability of the `is_counted` hypotheses together."""
         return min(
-            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if chosen(h)), 1.0
+            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)),
+            1.0,
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
@@ -247,8 +248,8 @@ def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
 
 
-def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
     """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
-    if hypothesis.name not in {h.name for h in others}:
+    if hypothesis.name not in {h.name for h in other_members}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

@@ -262,7 +262,7 @@ def _displacement_of_point(
     others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
     drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
-    needed = noncentrality(a, level=alpha / count)
+    needed = noncentrality(a, alpha=alpha / count)
     visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
     shift[difference.compared_axes], covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = (

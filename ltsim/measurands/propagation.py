@@ -133,7 +133,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
             origin.construction,
             sigma=problem.sigma,
             reading_mask=problem.used_readings,
-            start=origin.state,
+            start_state=origin.state,
             datum=origin.datum.point_names if origin.datum is not None else None,
         )
         shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)

@@ -103,7 +103,7 @@ class _PlanSearch:
         """Numbers of faces and of rounds that may be chosen."""
         return procedures(self.file, self.problem.scenario)
 
-    def _run_searches(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> LayoutsByCount:
+    def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
         """Layouts of the searches; the best so far is passed to the follower."""
         goal = self.file.goal
 
@@ -113,8 +113,10 @@ class _PlanSearch:
             self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {words}")
             self.callbacks.on_layout(survey)
 
-        def progress(done: float) -> None:
-            self.callbacks.on_progress("searching layouts", SEARCH_PROGRESS_FRACTION * share(done))
+        def progress(finished_fraction: float) -> None:
+            self.callbacks.on_progress(
+                "searching layouts", SEARCH_PROGRESS_FRACTION * report_progress(finished_fraction)
+            )
 
         made, stopped = run_searches(self.problem, tasks, self.jobs, progress, keep)
         self.layouts |= made
@@ -322,9 +324,11 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     if reachable >= site.min_sights:
         return file
 
-    def layout_error(least: int) -> SetupError | None:
+    def layout_error(min_sights: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
-        searcher = LayoutSearcher(site.replace(min_sights=least), grid_step=step, n_yaws=1, n_heights=settings.heights)
+        searcher = LayoutSearcher(
+            site.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
+        )
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
         except SetupError as problem:

@@ -192,14 +192,18 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     return np.concatenate(points) * MILLIMETRE, tuple(names)
 
 
-def _places_on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
+def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
     """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
-    if body == WALLS_NAME:
+    if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
+        triangles = np.concatenate(
+            [part.triangles for part in placed_obstacles(scenario) if part.name == obstacle_name]
+        )
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), is_closed=body != WALLS_NAME)
+    places = candidate_nest_places(
+        triangles, standoff, spacing, make_obstacles(scenario), is_closed=obstacle_name != WALLS_NAME
+    )
     return np.asarray(np.round(places / MILLIMETRE))
 
 

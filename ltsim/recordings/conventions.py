@@ -226,7 +226,7 @@ def azimuth_sense_from_points(
 
     Raises RecordError if they do not decide.
     """
-    points = read_points(file, strict=False)
+    points = read_points(file, requires_all=False)
     place = {name: i for i, name in enumerate(targets)}
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
     azimuth = _azimuth_sense_by_alignment(local, table, places)
@@ -259,7 +259,7 @@ def _azimuth_sense_by_alignment(
     return _majority_sense(votes)
 
 
-def _misfits(source: Floats, goal: Floats) -> list[float]:
+def _misfits(source: Floats, goal_points: Floats) -> list[float]:
     """Median misfits [m] of points (n, 3), and of their mirror image, to other points after a rigid alignment.
 
     A misfit is 1 if no alignment exists.
@@ -268,8 +268,8 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
         try:
-            rotation, shift = align_rigidly(image, goal)
-            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
+            rotation, shift = align_rigidly(image, goal_points)
+            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal_points, axis=1))) + 1e-9)
         except NetworkError:
             misfits.append(1.0)
     return misfits

@@ -305,10 +305,10 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def unknown_name_sentence(key: str, name: str, valid: Collection[str], if_empty: str = "") -> Iterator[str]:
+def unknown_name_sentence(key: str, name: str, names: Collection[str], if_empty: str = "") -> Iterator[str]:
     """Sentence for a name that is not in a list; `if_empty` is the text for an empty list."""
-    if name not in valid:
-        listed = ", ".join([*valid][:MAX_NAMES_IN_ERROR]) + (" ..." if len(valid) > MAX_NAMES_IN_ERROR else "")
+    if name not in names:
+        listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{quoted_text(name)}', which is not one of {listed or if_empty}"
 
 

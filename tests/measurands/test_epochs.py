@@ -34,7 +34,7 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust(clean, misalignment_construction(), start=truth.state)
+    found = adjust(clean, misalignment_construction(), start_state=truth.state)
     points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
     moved = type(truth.state)(

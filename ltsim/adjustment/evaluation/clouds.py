@@ -103,12 +103,12 @@ class CalibrationErrors:
         return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
-def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
+def share(raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameters: Floats | float) -> float:
     """Fraction of the correctable mean square that was removed, from the errors (N,) of N trials.
 
     It is NaN if nothing is correctable.
     """
-    squares = (float(np.nanmean(np.square(error))) for error in (raw, calibrated, true_parameters))
+    squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameters))
     before, after, perfect = squares
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 

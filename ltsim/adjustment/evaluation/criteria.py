@@ -95,14 +95,14 @@ class CriterionEntry(Entry):
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
     @classmethod
-    def from_differences(cls, before: StationDisagreement, after: StationDisagreement | None = None) -> Self:
+    def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
         """Criterion from the disagreement before and (if available) after a calibration."""
-        if after is None:
-            return cls(before=DisagreementEntry.from_differences(before))
-        percent = None if before.mean == 0 else 100.0 * (1.0 - after.mean / before.mean)
+        if calibrated is None:
+            return cls(before=DisagreementEntry.from_differences(uncalibrated))
+        percent = None if uncalibrated.mean == 0 else 100.0 * (1.0 - calibrated.mean / uncalibrated.mean)
         return cls(
-            before=DisagreementEntry.from_differences(before),
-            after=DisagreementEntry.from_differences(after),
+            before=DisagreementEntry.from_differences(uncalibrated),
+            after=DisagreementEntry.from_differences(calibrated),
             improvement_percent=percent,
         )
 
@@ -255,15 +255,15 @@ def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Re
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
-def _distance_to_first_criterion(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
+def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
     """Criterion of eq. 11 by the name of its field.
 
     It is empty if no other station shares a pair of targets with the first.
     """
-    differences = distance_differences_to_first(before)
+    differences = distance_differences_to_first(uncalibrated)
     if not len(differences.values):
         return {}
-    corrected = None if after is None else distance_differences_to_first(after)
+    corrected = None if calibrated is None else distance_differences_to_first(calibrated)
     return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
 
 
@@ -283,20 +283,20 @@ def read_nominal(path: Path) -> dict[str, Floats]:
     return points.by_name
 
 
-def distance_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
+def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
     """Mean over stations of |distance - nominal distance| for each pair of targets (eq. 13, as meant)."""
-    return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
+    return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
 
 
-def coordinate_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
+def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
     """Mean over stations of the distance to the nominal point after a rigid fit, for each target (eq. 14)."""
-    gap = np.linalg.norm([align_to_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
     return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 
 
 def verify_against_nominal(
     recording: Recording,
-    nominal: dict[str, Floats],
+    nominal_points: dict[str, Floats],
     construction: Construction | None = None,
     values: Floats | None = None,
     *,
@@ -308,7 +308,7 @@ def verify_against_nominal(
     NetworkError if a station measured fewer than three nominal targets.
     """
     missing = np.full(3, np.nan)
-    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    goal = np.stack([nominal_points.get(name, missing) for name in recording.targets])
     has_nominal = np.isfinite(goal[:, 0])
     if int(has_nominal.sum()) < 3:
         raise NetworkError(

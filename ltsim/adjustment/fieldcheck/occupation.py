@@ -52,9 +52,9 @@ class ColumnsFit:
     estimates: Floats
     covariance: Floats
 
-    def length_and_sigma(self, which: slice) -> tuple[float, float]:
+    def length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of some estimated values, and its standard deviation."""
-        part, spread = self.estimates[which], self.covariance[which, which]
+        part, spread = self.estimates[columns], self.covariance[columns, columns]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
             return length, float("inf")
@@ -85,13 +85,17 @@ class StationOccupation:
 
     @classmethod
     def from_recording(
-        cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
+        cls,
+        recording: Recording,
+        construction: Construction,
+        row_mask: Bools | None = None,
+        sigma: Floats | None = None,
     ) -> StationOccupation:
         """Occupation of a recording's station.
 
-        `use` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
+        `row_mask` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
         """
-        chosen = np.ones(len(recording), dtype=bool) if use is None else use
+        chosen = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.usable & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
@@ -223,10 +227,10 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
-def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
+def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
     """Orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
     bases, ranks = np.zeros_like(columns), 0
-    for t in range(count):
+    for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
         good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
@@ -257,14 +261,14 @@ class TwoFaceDifferences:
         recording: Recording,
         motion_corrected: Recording,
         construction: Construction,
-        level: float,
+        alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
         `motion_corrected_pairs` has its readings without motions.
 
-        `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
+        `alpha` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
         if not len(face_pair_rows(recording)):
             return None
@@ -279,7 +283,7 @@ class TwoFaceDifferences:
         ]
         guarantee = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
-            critical = -special.ndtri(level / (2 * pairs.half_differences.size))
+            critical = -special.ndtri(alpha / (2 * pairs.half_differences.size))
             limit = critical * np.hypot(noise, guarantee)
         else:
             metres = pairs.front_face_readings[:, 0]

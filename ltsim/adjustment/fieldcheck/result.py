@@ -142,7 +142,7 @@ class Check(ResultFile):
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network: Sequence[CheckItem], level: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
         """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
         causes = tuple(map(item_from_cause, tests))
@@ -153,7 +153,7 @@ class Check(ResultFile):
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
             sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
-            level=level,
+            level=alpha,
             tests=tuple(tests),
             items=items,
         )

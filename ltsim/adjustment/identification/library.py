@@ -262,10 +262,10 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
     return [Hypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)]
 
 
-def _swapped_order(n_points: int, first: int, second: int) -> list[int]:
+def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
     """Order of points with two of them exchanged."""
     order = list(range(n_points))
-    order[first], order[second] = second, first
+    order[first_index], order[second_index] = second_index, first_index
     return order
 
 
@@ -276,8 +276,10 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     several = len(recording.stations) > 1
     places = len(OBSERVABLES) + len(recording.targets) + several * len(recording.stations)
 
-    def noise(acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], among: int, rows: Bools) -> Hypothesis:
-        prior = log_prior_of("noise-level", among)
+    def noise(
+        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, rows: Bools
+    ) -> Hypothesis:
+        prior = log_prior_of("noise-level", n_rivals)
         return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
 
     yield noise("noise", (), (), 1, every), every

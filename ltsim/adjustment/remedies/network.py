@@ -93,8 +93,8 @@ class PlannedNetwork:
         last = int(np.argmax(recording.time))
         flat = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
 
-        def append_rows(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
-            return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
+        def append_rows(column: Floats | Ints, new_rows: Floats | Ints | float) -> Floats:
+            return np.concatenate([column, np.broadcast_to(new_rows, (count, *column.shape[1:])).astype(column.dtype)])
 
         whole = recording.replace(
             station=append_rows(recording.station, station),
@@ -146,16 +146,23 @@ class PlannedNetwork:
             state=replace(self.state, target_points=np.vstack([self.state.target_points, points])),
         )
 
-    def with_length(self, first: int, second: int, sigma_mm: float) -> PlannedNetwork:
+    def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
         recording, rows = self.recording, GaugeRows.from_recording(self.recording)
-        if {first, second} in (
+        if {first_target, second_target} in (
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
         ):
             return self
-        length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
+        length = (
+            float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
+            / MILLIMETRE
+        )
         # `from` is a keyword: the alias goes in through a mapping.
-        ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
+        ends: dict[str, Any] = {
+            "from": recording.targets[first_target],
+            "to": recording.targets[second_target],
+            "length_mm": length,
+        }
         added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)
         gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
         return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

@@ -306,10 +306,10 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def visits(sightings: Sightings, least: int) -> list[Regressor]:
-    """Regressor with a separate amount for each set-up; none for fewer than `least`, and for many."""
+def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
+    """Regressor with a separate amount for each set-up; none for fewer than `min_setups`, and for many."""
     count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if least <= count <= MAX_SEPARATE_SETUPS else []
+    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:

@@ -357,9 +357,9 @@ def _target(point: GamaPoint, height: float) -> Target:
 def _noise(network: GamaNetwork) -> Noise:
     """Default standard deviations of the file; those of single observations are in columns."""
 
-    def default(kind: str, otherwise: float) -> float:
+    def default(kind: str, fallback: float) -> float:
         words = network.stdev.get(kind, "").split()
-        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 
     return Noise(

@@ -277,7 +277,7 @@ def _with_short_labels(content: History) -> History:
     )
 
 
-def _course_sentence(content: History, usual: bool) -> str:
+def _course_sentence(content: History, is_usual: bool) -> str:
     since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
@@ -289,7 +289,7 @@ def _course_sentence(content: History, usual: bool) -> str:
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )
-    if usual:
+    if is_usual:
         return f"changed no more than it usually does between calibrations {tested}."
     which = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
     return f"has changed since the first{which} {tested}."
