@@ -137,11 +137,11 @@ class AcceptancePlan:
     def smallest_failing(self) -> tuple[Floats, list[AcceptanceTest]]:
         """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test; inf if none."""
         per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
-        at = np.argmax(per_unit, axis=0)
-        most = per_unit[at, np.arange(len(at))]
+        indices = np.argmax(per_unit, axis=0)
+        most = per_unit[indices, np.arange(len(indices))]
         usual = np.array([p.prior_sigma for p in self.construction.parameters])
         size = np.where(most * usual > MAX_ROUNDING_FRACTION, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
-        return size, [self.tests[i] for i in at]
+        return size, [self.tests[i] for i in indices]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest errors of points (n, 3) [m] that still meet every limit.
@@ -158,9 +158,9 @@ class AcceptancePlan:
         tried = np.array([self._longest_passing(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
         gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
-        best = int(rms.argmax())
+        best_index = int(rms.argmax())
         tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior] = 0.0
-        return tried[best], float(rms[best]), float(gaps[best].max())
+        return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing(self, unit_direction: Floats, prior: Floats) -> Floats:
         """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""

@@ -160,11 +160,11 @@ def network_test_entries(recording: Recording, instrument_specification: Specifi
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
+    is_complete = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
-            _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
+            _mean_points(recording, is_complete & (recording.station == s) & (recording.face == f)) for f in (1, 2)
         )
         errors += _length_entries(station, adjustment, front or back, instrument_specification)
         both = sorted(front.keys() & back.keys())
@@ -236,13 +236,15 @@ def evaluated_result(
 ) -> AcceptanceFile:
     """Result for measured errors; `n_unmeasured_tests` is the number of tests without one."""
     groups = {t.group: float(all(o.passes for o in test_entries if o.group == t.group)) for t in test_entries}
-    failed = sorted((t for t in test_entries if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
+    failed_items = sorted(
+        (t for t in test_entries if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6)
+    )
     blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in test_entries)
     sentence = f"all {len(test_entries)} errors are within their limits"
-    if failed:
-        w = failed[0]
+    if failed_items:
+        w = failed_items[0]
         sentence = (
-            f"{len(failed)} of {len(test_entries)} errors are over their limits; the worst is {w.name}: "
+            f"{len(failed_items)} of {len(test_entries)} errors are over their limits; the worst is {w.name}: "
             f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
         )
     if n_unmeasured_tests:
@@ -254,7 +256,7 @@ def evaluated_result(
         kind="measured" if recording is None else "network",
         plan=acceptance_settings.plan_name if recording is None else "own network",
         specification=acceptance_settings.limits,
-        passes=float(not failed and not n_unmeasured_tests),
+        passes=float(not failed_items and not n_unmeasured_tests),
         sentence=sentence,
         groups=group_entries(test_entries, groups, is_predicted=False),
         tests=tuple(test_entries),

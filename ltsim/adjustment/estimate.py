@@ -125,10 +125,10 @@ def adjust(
     if len(start_state.extra_parameters) != model.n_extra_parameters:
         start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    chosen = keep if reading_mask is None else keep & reading_mask
+    mask = keep if reading_mask is None else keep & reading_mask
     find = snoop_readings if robust else _solve
     whole = NetworkProblem.from_model(
-        model, sigma=sigma, reading_mask=chosen, effect_prior_sigma=effect_prior_sigma, prior=prior
+        model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
     )
     _require_fixed_smr_offsets(whole)
     start_state = replace(
@@ -275,11 +275,11 @@ def _axes_tests(
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     adjusted = adjustment.with_inner_datum(chosen)
-    at = [adjusted.recording.targets.index(name) for name in names]
+    indices = [adjusted.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
     turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
-    covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared_points - state.target_points[at], state.target_points[at]
+    covariance = turn @ adjusted.target_covariance[indices] @ turn.T
+    gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
     free = motions_about_centre(adjusted.problem.free_motions, centre)
     motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])

@@ -63,14 +63,14 @@ def fit_pose(
     rows, sight = sight.thin_rows()
     points = points[rows] + sight.reflector_offsets
     azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
-    tilted = not is_levelled and (azimuth or elevation)
+    is_tilted = not is_levelled and (azimuth or elevation)
     slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
     high = position is None and (slope or elevation or not is_levelled)
-    free = np.array([position is None] * 2 + [high] + [tilted] * 2 + [azimuth])
-    if sight.n_readings < free.sum():
+    is_free = np.array([position is None] * 2 + [high] + [is_tilted] * 2 + [azimuth])
+    if sight.n_readings < is_free.sum():
         return None
     places = _candidate_positions(points) if position is None else position[None]
-    turns = _candidate_rotations(not tilted) if azimuth or tilted else np.eye(3)[None]
+    turns = _candidate_rotations(not is_tilted) if azimuth or is_tilted else np.eye(3)[None]
     places = places if high or position is not None else places[:-2]
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
@@ -78,10 +78,10 @@ def fit_pose(
         gap, by_local = sight.residuals(arm @ rotation)
         turned = by_local @ np.swapaxes(rotation, 1, 2)
         by_turn = (turned.reshape(len(x), -1, 3, 3) @ cross_matrix(arm)).reshape(len(x), -1, 3)
-        return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, free]
+        return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, is_free]
 
     starts = np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1))
-    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, free, *starts))
+    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, is_free, *starts))
 
 
 def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
@@ -98,9 +98,11 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
         return gap, by.reshape(len(x), -1, 3)
 
     starts = _start_points(sight.readings, lifted, rotation)
-    free = np.arange(6) < 3
+    is_free = np.arange(6) < 3
     pose = _unique_solution(
-        sight.n_readings, lifted, _iterate_best_starts(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1)))
+        sight.n_readings,
+        lifted,
+        _iterate_best_starts(evaluate, is_free, starts, np.tile(np.eye(3), (len(starts), 1, 1))),
     )
     return None if pose is None else pose[0]
 
@@ -321,9 +323,10 @@ def lines_without_length(
         return []
     motion = np.concatenate([np.zeros((1, 2)), right[-1].reshape(-1, 2)])
     moves = np.linalg.norm(motion[second] - motion[first], axis=1)
-    loose = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
+    loose_indices = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
     ends = {
-        (min(pair), max(pair)) for pair in zip(used[first[loose]].tolist(), used[second[loose]].tolist(), strict=True)
+        (min(pair), max(pair))
+        for pair in zip(used[first[loose_indices]].tolist(), used[second[loose_indices]].tolist(), strict=True)
     }
     return sorted(ends)
 

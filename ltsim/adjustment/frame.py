@@ -91,8 +91,8 @@ class DeclaredFrame:
     def common_places(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Places (k, 3) of a network that the frame also declares, and the declared ones."""
         here, there = np.concatenate([position, points]), np.concatenate([self.declared_stations, self.declared_points])
-        both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-        return here[both], there[both]
+        is_common = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        return here[is_common], there[is_common]
 
     def motion_into_frame(
         self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
@@ -125,23 +125,25 @@ class DeclaredFrame:
         They follow from the approximate positions of two or more stations, or from position and yaw of one. Positions
         that differ by more than `MAX_FLOOR_PLAN_ERROR` belong to another frame and are ignored.
         """
-        planned = np.flatnonzero(np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1))
-        if len(planned) > 1:
+        planned_indices = np.flatnonzero(
+            np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
+        )
+        if len(planned_indices) > 1:
             try:
-                motion = upright_alignment(position[planned], self.plan_positions[planned])
+                motion = upright_alignment(position[planned_indices], self.plan_positions[planned_indices])
             except NetworkError:
                 return None
             return (
                 motion
-                if alignment_distances(position[planned], self.plan_positions[planned], motion).max()
+                if alignment_distances(position[planned_indices], self.plan_positions[planned_indices], motion).max()
                 < MAX_FLOOR_PLAN_ERROR
                 else None
             )
-        if not len(planned) or not np.isfinite(self.plan_yaws[planned[0]]):
+        if not len(planned_indices) or not np.isfinite(self.plan_yaws[planned_indices[0]]):
             return None
-        ahead = rotation[planned[0], :, 0]
-        turn = rotation_about_z(float(self.plan_yaws[planned[0]] - np.arctan2(ahead[1], ahead[0])))
-        return turn, self.plan_positions[planned[0]] - turn @ position[planned[0]]
+        ahead = rotation[planned_indices[0], :, 0]
+        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(ahead[1], ahead[0])))
+        return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) that mirror a network of ranges at `network_points` (k, 3) or leave it unchanged.
@@ -202,21 +204,21 @@ class DeclaredFrame:
 
     def heading_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
-        chosen = self.has_declared_yaw & joined_stations
-        if not chosen.any():
+        mask = self.has_declared_yaw & joined_stations
+        if not mask.any():
             return None
-        ahead = rotation[chosen, :, 0]
+        ahead = rotation[mask, :, 0]
         return rotation_about_z(
-            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
+            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
         )
 
     def levelling_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
-        chosen = self.is_levelled & joined_stations
-        if not chosen.any():
+        mask = self.is_levelled & joined_stations
+        if not mask.any():
             return np.eye(3)
-        axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
-        goal = self.marks.plumb_directions[chosen].mean(axis=0)
+        axis = (rotation[mask] @ VERTICAL).mean(axis=0)
+        goal = self.marks.plumb_directions[mask].mean(axis=0)
         return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 

@@ -35,9 +35,9 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
 
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
-    checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+    is_checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     w = np.where(problem.used_readings, 0.0, np.nan)
-    w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
+    w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
 
 
@@ -67,8 +67,8 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
         if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):
             break
         named.append(t)
-    at = np.isin(target, named)
-    return np.array(named, dtype=np.int64), noise(at) if named else 1.0, noise(~at)
+    is_member = np.isin(target, named)
+    return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
 
 
 def critical_w(n_readings: int, alpha: float = FAMILY_LEVEL) -> float:
@@ -159,8 +159,8 @@ def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
     used.
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
-    far = x > 300.0
-    beyond = np.where(far, x, 301.0)
+    is_far = x > 300.0
+    beyond = np.where(is_far, x, 301.0)
     tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
-    near = -np.log(special.gammaincc(a, np.where(far, 0.0, x)))
-    return np.asarray(np.where(np.asarray(rank) > 0, np.where(far, tail, near), 0.0))
+    near = -np.log(special.gammaincc(a, np.where(is_far, 0.0, x)))
+    return np.asarray(np.where(np.asarray(rank) > 0, np.where(is_far, tail, near), 0.0))

@@ -64,18 +64,18 @@ def is_copied_row(recording: Recording) -> Bools:
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
     whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
-    repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
-    copied = _equals_earlier_row(whole) & recording.is_measured.any(axis=1)
+    is_repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
+    is_copied = _equals_earlier_row(whole) & recording.is_measured.any(axis=1)
     if recording.has_clock:
-        return copied
-    return copied & (copied.sum() >= max(MIN_COPIED_ROWS, int(repeated.sum())))
+        return is_copied
+    return is_copied & (is_copied.sum() >= max(MIN_COPIED_ROWS, int(is_repeated.sum())))
 
 
 def _equals_earlier_row(rows: np.ndarray) -> Bools:
     """Flags (n,) of the rows that equal an earlier one."""
-    later = np.ones(len(rows), dtype=bool)
-    later[np.unique(rows, axis=0, return_index=True)[1]] = False
-    return later
+    is_later = np.ones(len(rows), dtype=bool)
+    is_later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return is_later
 
 
 # --- what the readings in use do not place ------------------------------------------------------------------------
@@ -111,10 +111,10 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     whole = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
-    doubtful = ~whole & ~problem.structure.is_unmeasured_target
-    doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
-    if not doubtful.any():
-        return doubtful
+    is_doubtful = ~whole & ~problem.structure.is_unmeasured_target
+    is_doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
+    if not is_doubtful.any():
+        return is_doubtful
     weighted = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
     rows = np.where(
         problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weighted, 0.0
@@ -136,7 +136,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
-    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
+    return is_doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
 def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
@@ -146,17 +146,17 @@ def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
     """
     recording, marks = problem.model.recording, problem.marks
     sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    used = problem.used_readings.any(axis=1)
-    sighted[recording.station[used], recording.target[used]] = True
+    is_used = problem.used_readings.any(axis=1)
+    sighted[recording.station[is_used], recording.target[is_used]] = True
     vertical = np.full((len(sighted), 3), np.nan)
     vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
-    free = np.array([not name for name in marks.mark_names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~determines_pose(state.target_points, sighted, vertical))
-    if not len(few):
+    is_free = np.array([not name for name in marks.mark_names]) & sighted.any(axis=1)
+    deficient_names = np.flatnonzero(is_free & ~determines_pose(state.target_points, sighted, vertical))
+    if not len(deficient_names):
         return ""
-    levelled = few[0] in problem.level_rows.station_indices
-    what = "two targets that are not above one another" if levelled else "three targets that are not on one line"
-    return f"station {recording.stations[few[0]]} sees fewer than {what}, which a pose needs"
+    levelled = deficient_names[0] in problem.level_rows.station_indices
+    phrase = "two targets that are not above one another" if levelled else "three targets that are not on one line"
+    return f"station {recording.stations[deficient_names[0]]} sees fewer than {phrase}, which a pose needs"
 
 
 # --- before the adjustment ----------------------------------------------------------------------------------------

@@ -67,36 +67,36 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
     by_w, wrong = len(outliers), _reading_count_text(len(outliers))
-    shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
+    phrase = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
+        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {phrase}, no outlier.", False)
     if low <= sigma0 <= high:
-        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
+        sentence = f"Trust the test of single readings: {wrong} although {phrase} passes, because a sum over many "
         return Verdict(VerdictCase.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the declared noise: {shown} is below that range, but few degrees of freedom support no other."
+            f"Trust the declared noise: {phrase} is below that range, but few degrees of freedom support no other."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
+            f"Trust the estimated sigma0: {phrase}, the declared noise is too large, and the w-test too tolerant; in "
             f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
     rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
-        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
+        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; "
         return Verdict(VerdictCase.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
+            f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {shown}; {_rejection_reasons(adjustment)}, "
+        f"Trust the global test and the estimated sigma0: {phrase}; {_rejection_reasons(adjustment)}, "
         f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
         f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
     )

@@ -321,9 +321,9 @@ def estimate_covariance(
         return noise @ noise.T, noise
     spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
-    scaled = design / spread[:, None]
-    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled)
-    carried = np.asarray((rows.noise_derivatives.T @ scaled).T) * np.sqrt(2 / np.pi)
+    scaled_design = design / spread[:, None]
+    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
+    carried = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T

@@ -87,8 +87,8 @@ def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
 def _relative_step_durations(history: CalibrationSeries) -> Floats:
     """Days of each step divided by their median; ones if the days are unknown."""
     between = np.diff(history.days) if history.days is not None else np.zeros(0)
-    middle = float(np.median(between)) if len(between) else 0.0
-    return between / middle if middle > 0 else np.ones(len(history) - 1)
+    median = float(np.median(between)) if len(between) else 0.0
+    return between / median if median > 0 else np.ones(len(history) - 1)
 
 
 def _significant_steps_of(

@@ -92,17 +92,17 @@ def with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
     """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
-    free = np.flatnonzero(np.diag(covariance) > 0)
-    unit, block = np.array([p.prior_sigma for p in parameters])[free], np.ix_(free, free)
-    if np.array_equal(unit, prior_sigma[free]):
+    free_indices = np.flatnonzero(np.diag(covariance) > 0)
+    unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
+    if np.array_equal(unit, prior_sigma[free_indices]):
         return estimates, covariance
-    likelihood = likelihood_information(estimates[free], covariance[block], prior_sigma[free], unit)
+    likelihood = likelihood_information(estimates[free_indices], covariance[block], prior_sigma[free_indices], unit)
     posterior_covariance, estimates, covariance = (
-        np.linalg.inv(likelihood.information + np.eye(len(free))),
+        np.linalg.inv(likelihood.information + np.eye(len(free_indices))),
         estimates.copy(),
         covariance.copy(),
     )
-    estimates[free], covariance[block] = (
+    estimates[free_indices], covariance[block] = (
         unit * (posterior_covariance @ likelihood.information_vector),
         posterior_covariance * np.outer(unit, unit),
     )

@@ -71,8 +71,8 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
-    chosen = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
-    rejected.flat[free] = ways[chosen].any(axis=0)
+    indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
+    rejected.flat[free] = ways[indices].any(axis=0)
     return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
 
 

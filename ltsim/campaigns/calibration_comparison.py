@@ -108,8 +108,8 @@ def compare_calibrations(
     here = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
     made, truth = measure_trial(make_geometry(here, seed), seed, trial)
-    named = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
-    for name, calibration in named.items():
+    by_name = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
+    for name, calibration in by_name.items():
         readings = (
             calibration.adjustment.recording.readings
             if calibration.adjustment and calibration.method == "network"
@@ -117,7 +117,7 @@ def compare_calibrations(
         )
         if not _has_same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
-    if not named:
+    if not by_name:
         raise SetupError("there is no calibration to judge")
     values = np.array([*truth.instrument_values.values()]).reshape(len(here.trackers_in_use), -1)
     work = make_geometry(make_validation_scenario(str(validation_scenario), here, place), seed, VALIDATION_STREAM_KEY)
@@ -129,10 +129,14 @@ def compare_calibrations(
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
     taken = (
-        named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
+        by_name
+        if applied
+        else {name: calibration.with_changes(correction=None) for name, calibration in by_name.items()}
     )
-    corrected = {
+    corrected_by_name = {
         name: measured_points(correct(recording, calibration, allow_repeated=True, allow_rejected=True))
         for name, calibration in taken.items()
     }
-    return NewPointErrors({name: CalibrationErrors(raw, error(points), floor) for name, points in corrected.items()})
+    return NewPointErrors(
+        {name: CalibrationErrors(raw, error(points), floor) for name, points in corrected_by_name.items()}
+    )

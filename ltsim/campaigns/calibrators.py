@@ -115,10 +115,10 @@ class GeometryStack(CellTruth):
 
     def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by its parameters."""
-        flat = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
-        by_value = built.reading_design(flat, np.zeros(built.n_parameters))[1]
+        flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
+        by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.from_construction(built, flat).split_trials(len(self.truths)), np.ascontiguousarray(
+        return ChainProgram.from_construction(built, flattened).split_trials(len(self.truths)), np.ascontiguousarray(
             by_trial
         )
 
@@ -236,10 +236,10 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
-        for trial in np.flatnonzero(~doubtful):
+        is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
+        for trial in np.flatnonzero(~is_doubtful):
             results.copy_trial(int(trial), together, int(trial))
-        return np.flatnonzero(doubtful)
+        return np.flatnonzero(is_doubtful)
 
     def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Difference between a trial and the full solver, as in `TrialCalibrator`."""
@@ -297,9 +297,9 @@ class StackedNetwork(BatchNetwork):
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         count = 3 * len(self.recording)
-        flat = [part._extra_design.reshape(count, -1) for part in self.networks]
-        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flat], axis=0))
-        design = np.stack([design[rows] for design in flat])
+        flattened = [part._extra_design.reshape(count, -1) for part in self.networks]
+        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
+        design = np.stack([design[rows] for design in flattened])
         sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])
         return rows, design, design / sigma[:, :, None]
 

@@ -115,7 +115,7 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
     merged = {name: values[order] for name, values in merged.items()}
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
     count = len(trial)
-    lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
+    is_lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
         "cell": pa.array(np.full(count, cell), pa.int32()),
         "method": pa.array([method] * count, pa.string()),
@@ -123,6 +123,6 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
         "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }
     for name, values in merged.items():
-        empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
+        empty = np.isnan(values) | (is_lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
         columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
     return pa.table(columns)

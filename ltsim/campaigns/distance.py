@@ -216,12 +216,16 @@ class BatchDistance(BatchCalibrator):
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         flat = np.hypot(x, y)
-        back = (self.truth.recording.face == 2)[:, None]
+        is_back_face = (self.truth.recording.face == 2)[:, None]
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
-        raw = np.stack(
-            [np.hypot(flat, z), azimuth + np.where(back, np.pi, 0.0), np.where(back, np.pi - elevation, elevation)],
+        raw_readings = np.stack(
+            [
+                np.hypot(flat, z),
+                azimuth + np.where(is_back_face, np.pi, 0.0),
+                np.where(is_back_face, np.pi - elevation, elevation),
+            ],
             axis=1,
         )
-        corrected = raw - self.truth.recording.readings[:, :, None]
-        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
-        return self.batch_network.fit_trials(corrected, block.length_errors)
+        corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
+        corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
+        return self.batch_network.fit_trials(corrected_readings, block.length_errors)

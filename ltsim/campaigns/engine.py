@@ -74,9 +74,9 @@ class CalibratedBlock:
         values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
         points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
-        lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
+        is_lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
         reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflector_masks}
-        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy(), reflectors)
+        return cls(values, values.copy(), points, np.full(trials, np.nan), is_lost, extra, extra.copy(), reflectors)
 
     def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
         """Copy of the result of one trial from another batch, including its sigmas if they differ by trial."""
@@ -124,8 +124,8 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 
     Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
-    lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
-    points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
+    is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
+    points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.is_measured[:, 1:].any():
         return align_to_points(points, goal_points)
     hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
@@ -135,10 +135,10 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
-    whole = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
+    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
-    count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
-    return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)
+    count = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
+    return count.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(count[key], 1), 0.0)
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
@@ -239,8 +239,10 @@ class BatchCalibrator(TrialCalibrator):
         """Calibrated block. Only `trial_numbers` (default all) may use the single calibrator, which is slow."""
         trial_numbers = np.arange(len(block.trials)) if trial_numbers is None else trial_numbers
         calibrated, good = self.calibrate_batch(block, trial_numbers)
-        enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local_points[:, :, None])
-        alone = trial_numbers[~enough[trial_numbers]]
+        is_sufficient = good & ~is_suspect_trial(
+            block.reading_deviations, self.truth.sightings.local_points[:, :, None]
+        )
+        alone = trial_numbers[~is_sufficient[trial_numbers]]
         per_trial = self.serial_calibrator.calibrate(block, alone) if len(alone) else calibrated
         for trial in alone.tolist():
             calibrated.copy_trial(trial, per_trial, trial)

@@ -307,9 +307,9 @@ class BatchNetwork:
 
         If states have a last index for the trial, designs have it first.
         """
-        flat = self._extra_design.reshape(self.reading_sigmas.size, -1)
-        rows = np.flatnonzero(flat.any(axis=1))
-        return rows, flat[rows], flat[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
+        flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
+        rows = np.flatnonzero(flattened.any(axis=1))
+        return rows, flattened[rows], flattened[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:

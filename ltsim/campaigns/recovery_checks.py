@@ -56,8 +56,10 @@ class RecoveryCheck(Entry):
     @classmethod
     def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
         """Check of a number; NaN fails."""
-        passed = bool(lower_limit <= value <= upper_limit)
-        return cls(subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=passed)
+        is_passed = bool(lower_limit <= value <= upper_limit)
+        return cls(
+            subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=is_passed
+        )
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
         """Check of the same number with other limits."""
@@ -131,12 +133,12 @@ def recovery_checks(
         )
     if unknown := [name for name in tolerance or () if name not in called]:
         raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(called)}")
-    chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
+    indices = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
     checks = []
-    for k in chosen:
+    for k in indices:
         if sigma is not None:
             z = (estimate[:, k] - truth[:, k]) / np.atleast_2d(sigma)[:, k]
-            checks += parameter_checks(called[k], z, alpha / (3 * len(chosen)))
+            checks += parameter_checks(called[k], z, alpha / (3 * len(indices)))
         if tolerance:
             checks.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
     return checks
@@ -193,11 +195,11 @@ def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float)
     The limits follow from the median absolute deviation relative to the median, so that values that are all too large,
     or a few outliers, do not widen their own limits.
     """
-    middle = float(np.median(trial_values))
-    deviation = float(np.median(np.abs(trial_values - middle)))
+    median = float(np.median(trial_values))
+    deviation = float(np.median(np.abs(trial_values - median)))
     relative = (
-        min(deviation / (stats.norm.ppf(0.75) * middle), MAX_RELATIVE_DEVIATION)
-        if middle > 0
+        min(deviation / (stats.norm.ppf(0.75) * median), MAX_RELATIVE_DEVIATION)
+        if median > 0
         else MAX_RELATIVE_DEVIATION
     )
     within = max(

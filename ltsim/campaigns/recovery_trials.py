@@ -128,9 +128,9 @@ def run_trials(
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
     drawn = {"errors": {"draw": True}, "error_factor": 1.0}
-    named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
+    by_name = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": named}
+        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": by_name}
     )
 
 
@@ -265,13 +265,13 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
-        lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", lost, 0, 0)]
+        n_lost = len(self.trials) - len(self.trials_with_result)
+        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
-        chosen = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
-        level = FALSE_ALARM_RATE / (4 * len(chosen) + 3)
-        checks += [check for k in chosen for check in self._parameter_checks(k, level)]
+        indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
+        level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
+        checks += [check for k in indices for check in self._parameter_checks(k, level)]
         return checks if self.tolerance else checks + self._network_checks(level)
 
     def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:

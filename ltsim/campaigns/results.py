@@ -80,12 +80,12 @@ class CampaignResults(CampaignStatistics, Result):
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
         quoted = [self._sql_column(column) for column in columns]
-        where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
+        condition_text = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
         name = getattr(function, "__name__", type(function).__name__)
         spreads = []
         for cell in range(len(self.levels)):
             for method in sorted(self.manifest.methods):
-                values = self.term_values(quoted, cell, method, where)
+                values = self.term_values(quoted, cell, method, condition_text)
                 count = values.shape[1]
                 if not count:
                     continue

@@ -203,28 +203,28 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
     start = task.shard * campaign.shard
     first, last = start + n_existing, min(start + campaign.shard, campaign.trials)
     parts: list[list[ResultColumns]] = [[] for _ in campaign.methods]
-    missing = set(range(first, last))
+    missing_numbers = set(range(first, last))
     for judge, calibrators, block in cell.trial_blocks(first, last):
         numbers = block.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
-        missing -= set(numbers[wanted].tolist())
+        missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < start + campaign.verify]
         work = TrialBlock(campaign, judge, block, cell.validation_geometry, wanted, checked, truth_only)
         for part, calibrator in zip(parts, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
-    if missing:
-        empty = np.full(len(missing), np.nan)
+    if missing_numbers:
+        empty = np.full(len(missing_numbers), np.nan)
         failed = {
-            "status": np.full(len(missing), TRIAL_STATUSES.index(WITHOUT_RESULT)),
+            "status": np.full(len(missing_numbers), TRIAL_STATUSES.index(WITHOUT_RESULT)),
             "chi2": empty,
             DIFFERENCE_COLUMN: empty,
         }
         for part in parts:
-            part.append({"trial": np.array(sorted(missing))} | failed)
+            part.append({"trial": np.array(sorted(missing_numbers))} | failed)
     tables = [method_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
-    whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
-    return append_settings(whole, cell.factors, cell.levels, cell.units)
+    full_table = pa.concat_tables(tables, promote_options="default").combine_chunks()
+    return append_settings(full_table, cell.factors, cell.levels, cell.units)
 
 
 @dataclass(frozen=True)

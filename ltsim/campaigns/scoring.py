@@ -235,10 +235,10 @@ class ExpectedTruth:
         columns = np.concatenate(
             [unknowns.instrument_columns.ravel(), *(unknowns.extra_columns[at] for at in model.incidence_columns)]
         )
-        free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
+        is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
-        missed = np.where(free[:, None] & free, missed, 0.0)
+        missed = np.where(is_free[:, None] & is_free, missed, 0.0)
         return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
 
     @property

@@ -328,7 +328,9 @@ class CampaignStatistics:
 
     def summary(self) -> dict[str, Any]:
         """Content of the report as plain data."""
-        wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN]
+        columns_used = [
+            c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
+        ]
         return {
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
@@ -340,10 +342,10 @@ class CampaignStatistics:
             ],
             "ends": [_without_nan(asdict(entry)) for entry in self.solver_comparisons()],
             "levels": QUANTILE_LEVELS,
-            "meanings": {c: described.meaning for c in wanted if (described := find_column(c))},
+            "meanings": {c: described.meaning for c in columns_used if (described := find_column(c))},
             "columns": [
                 _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
-                for column in wanted
+                for column in columns_used
                 for entry in self.distribution(column)
             ],
             "z_scores": [_without_nan(asdict(entry)) for entry in self.z_score_summaries()],

@@ -157,9 +157,9 @@ class CampaignFolder:
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
-        others = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
+        remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
-        return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
+        return remaining + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
     def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""

@@ -136,9 +136,9 @@ class CellTruth:
         return self._chain_cache[-1][1]
 
     def _compute_chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
-        nominal = self.recording.readings
-        by_value = construction.reading_design(nominal, np.zeros(construction.n_parameters))[1]
-        return ChainProgram.from_construction(construction, nominal), by_value
+        nominal_readings = self.recording.readings
+        by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
+        return ChainProgram.from_construction(construction, nominal_readings), by_value
 
     def chain_program(self, construction: Construction) -> ChainProgram:
         """Kinematic chain of a construction about the nominal readings."""

@@ -45,8 +45,12 @@ def median(values: Floats) -> float:
     For a hundred entries ten times as fast as `np.median`.
     """
     ordered = np.sort(values, axis=None)
-    middle = len(ordered) // 2
-    return float(0.5 * (ordered[-1 - middle] + ordered[middle])) if ordered[-1] == ordered[-1] else float("nan")
+    middle_index = len(ordered) // 2
+    return (
+        float(0.5 * (ordered[-1 - middle_index] + ordered[middle_index]))
+        if ordered[-1] == ordered[-1]
+        else float("nan")
+    )
 
 
 def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:

@@ -250,8 +250,8 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
 def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
     products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
-    flat = rows.reshape(-1, len(places))
-    return SignatureGroup(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
+    flattened = rows.reshape(-1, len(places))
+    return SignatureGroup(size, np.array(members), places, flattened, weight, products, np.zeros_like(products))
 
 
 def _sparse_group(size: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:

@@ -74,8 +74,8 @@ def simulated_log_evidence(scores: Floats, strength: Floats) -> Floats:
 
 def simulated_log_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
     """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
-    flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
-    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flat, log_prior)]
+    flattened = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
+    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
     return log_sum_exp(np.stack(parts).astype(np.float64))
 
 

@@ -95,8 +95,8 @@ class Model:
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
-        projected = np.hstack(self.projected_signatures)
-        return projected.T @ projected, projected.T @ self.baseline_residual
+        projected_signature = np.hstack(self.projected_signatures)
+        return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
@@ -107,8 +107,12 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        visible = strength > MIN_NUMERICAL_REDUNDANCY
-        return 0.5 * RELATIVE_MODEL_ERROR * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
+        is_visible = strength > MIN_NUMERICAL_REDUNDANCY
+        return (
+            0.5
+            * RELATIVE_MODEL_ERROR
+            * float(np.sum((turn.T @ (unit * score))[is_visible] ** 2 / strength[is_visible]))
+        )
 
     @cached_property
     def score(self) -> float:
@@ -188,19 +192,19 @@ class Ranking:
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        named = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
-            named[hypothesis.name] = min(named.get(hypothesis.name, 0.0) + weight, 1.0)
-        return named
+            by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
+        return by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all names together."""
-    named = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
-        if probabilities.get("unknown", 0.0) > sum(named.values())
-        else max(named, key=lambda name: named[name])
+        if probabilities.get("unknown", 0.0) > sum(by_name.values())
+        else max(by_name, key=lambda name: by_name[name])
     )
 
 

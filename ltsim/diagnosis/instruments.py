@@ -278,8 +278,10 @@ class HistoryExpectation:
                 f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
                 "those of all of them"
             )
-        nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
-        return cls(calibrations, calibrations.replace_nominal_prior(nominal, construction, names), nominal.sigma)
+        nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        return cls(
+            calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
+        )
 
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
         """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""

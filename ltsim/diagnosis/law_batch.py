@@ -175,10 +175,14 @@ class LawBatch:
         parts = [self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in parts]))
-        best = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[:, :MAX_HITS_PER_PLACE]
+        best_index = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[
+            :, :MAX_HITS_PER_PLACE
+        ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
-            for place, prior, indices, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
+            for place, prior, indices, here in zip(
+                self.places, self.log_prior.tolist(), best_index, values, strict=True
+            )
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
         return hits, float(log_sum_exp(values.ravel())), null

@@ -64,9 +64,9 @@ class PatternGroup:
         logs = self._log_variance_factors_of(slice(member, member + 1))
         if not isinstance(logs, np.ndarray):
             return logs.indices, logs.data.astype(np.float64)
-        changed = np.flatnonzero(logs[0])
+        changed_indices = np.flatnonzero(logs[0])
         rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
-        return rows[changed], logs[0, changed].astype(np.float64)
+        return rows[changed_indices], logs[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of some members."""

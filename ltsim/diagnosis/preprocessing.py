@@ -63,8 +63,8 @@ def is_single_error(fit: NetworkFit) -> Bools:
 
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
-    whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return is_omitted & (whitened < MAX_CONSISTENT_W)
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
 
 
 def adapted_baseline(

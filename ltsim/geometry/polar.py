@@ -34,9 +34,9 @@ def from_polar(readings: Floats) -> Floats:
 def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
     """Raw readings (n, 3) on `face` (1 or 2) of front-face values (n, 3); its own inverse."""
     raw = polar_coordinates.copy()
-    back = face == 2
-    raw[back, 1] = wrap_angle(polar_coordinates[back, 1] + np.pi)
-    raw[back, 2] = np.pi - polar_coordinates[back, 2]
+    is_back_face = face == 2
+    raw[is_back_face, 1] = wrap_angle(polar_coordinates[is_back_face, 1] + np.pi)
+    raw[is_back_face, 2] = np.pi - polar_coordinates[is_back_face, 2]
     return raw
 
 

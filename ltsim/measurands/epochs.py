@@ -62,9 +62,9 @@ def compare_adjustments(
     lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
-    at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
+    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _common_observations(first, second, same_instrument)
-    before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), at, strict=True))
+    before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), indices, strict=True))
     sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
     return _compare_epochs(
         before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
@@ -89,19 +89,20 @@ def compare_coordinates(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
     second, renamed = _with_names_of(second, first.names)
-    common = [name for name in first.names if name in second.names]
+    common_names = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask("lists", common, stable_names, n_held=len(first.axes) if is_open else 0)
+    stable_points = _stable_point_mask("lists", common_names, stable_names, n_held=len(first.axes) if is_open else 0)
     before, after = (
-        _Epoch.from_coordinates(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
+        _Epoch.from_coordinates(epoch, common_names, motions)
+        for epoch, motions in zip((first, second), open_, strict=True)
     )
     count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
     notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
     sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
     held = stable_points & (stable_names is not None)
     result = _compare_epochs(before, after, with_scale, stable_points, held, alpha, sources, first.axis_indices, notes)
-    if is_open or len(first.axes) < len(ALL_AXES) or len(common) <= len(ALL_AXES):
+    if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
     return _with_rigid_motion(
         result,
@@ -223,11 +224,11 @@ class _Epoch:
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates with free motions `free_motions` (6, f)."""
-        at = np.array([coordinates.names.index(name) for name in point_names])
-        rows = coordinate_rows(at, len(coordinates.axes))
+        indices = np.array([coordinates.names.index(name) for name in point_names])
+        rows = coordinate_rows(indices, len(coordinates.axes))
         return cls(
             point_names,
-            coordinates.points[at],
+            coordinates.points[indices],
             coordinates.covariance[np.ix_(rows, rows)],
             np.zeros((len(rows), 0)),
             free_motions,
@@ -284,9 +285,9 @@ def _align_epochs(
 ) -> EpochDifference:
     """Differences of the second epoch, aligned to the first unless both frames are fixed, along axes (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
-    middle = before[stable_mask].mean(axis=0)
-    both = np.hstack([first.free_motions, second.free_motions])
-    free = scipy.linalg.orth(both) if both.shape[1] else both
+    centre = before[stable_mask].mean(axis=0)
+    stacked = np.hstack([first.free_motions, second.free_motions])
+    free = scipy.linalg.orth(stacked) if stacked.shape[1] else stacked
     if free.shape[1] and len(axes) > 1:
         weights = stable_mask.astype(np.float64)
         for _ in range(N_ALIGNMENT_ROUNDS):
@@ -298,15 +299,15 @@ def _align_epochs(
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first.common_observation_response @ second.common_observation_response.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
-    motions = rigid_motion_design(before, middle)
-    motions = motions @ _motions_about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = rigid_motion_design(before, centre)
+    motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - middle).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - centre).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if with_scale:
-        motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
+        motions = np.hstack([motions, (before - centre)[:, axes].reshape(-1, 1)])
     return EpochDifference(
         first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
     )
@@ -341,9 +342,9 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     defect = int((values < MAX_RELATIVE_EIGENVALUE * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
-    middle = epoch.points.mean(axis=0)
+    centre = epoch.points.mean(axis=0)
     motions = (
-        rigid_motion_design(epoch.points, middle)
+        rigid_motion_design(epoch.points, centre)
         .reshape(len(epoch.points), 3, 6)[:, epoch.axis_indices]
         .reshape(len(scale), 6)
     )
@@ -356,7 +357,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     if still.shape[1] != defect:
         usual = np.array(MOTIONS_BY_RANK_DEFECT.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
         free_motions = np.eye(6)[:, usual[np.isin(usual, moving)]]
-    free_motions[:3] += np.cross(middle, free_motions[3:].T).T  # turns about the middle as turns about the origin
+    free_motions[:3] += np.cross(centre, free_motions[3:].T).T  # turns about the middle as turns about the origin
     return free_motions
 
 
@@ -382,8 +383,8 @@ def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) ->
 
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
     """Sentence on names that are exchanged in the second epoch."""
-    changed = np.flatnonzero(point_order != np.arange(len(point_order)))
-    names_changed = listing([names[i] for i in changed.tolist()], len(changed))
+    changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
+    names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 

@@ -109,8 +109,8 @@ class TaskInputs(ValueEquality):
                 raise unknown_name("target", name, recording.targets)
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
-        at = np.array([recording.targets.index(name) for name in names])
-        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[at].ravel())
+        indices = np.array([recording.targets.index(name) for name in names])
+        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
             replace(s, point_response=_reduce_variates(s.point_response)) for s in observed_sources(adjustment, reach)
         ]
@@ -121,7 +121,9 @@ class TaskInputs(ValueEquality):
         further += air_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
         hidden = displacements_by_shared_air(adjustment, reach, air)
-        return cls(adjustment, names, adjustment.state.target_points[at], reach, (*observed, *further), words, hidden)
+        return cls(
+            adjustment, names, adjustment.state.target_points[indices], reach, (*observed, *further), words, hidden
+        )
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
@@ -137,12 +139,12 @@ class TaskInputs(ValueEquality):
         for name in names:
             if name not in coordinates.names:
                 raise unknown_name("target", name, coordinates.names)
-        at = np.array([coordinates.names.index(name) for name in names])
-        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        indices = np.array([coordinates.names.index(name) for name in names])
+        rows = (3 * indices[:, None] + np.arange(3)).ravel()
         values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(rows, rows)])
         reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         source = UncertaintySource(f"coordinates of {coordinates.title}", "A", reach.T)
-        return cls(coordinates, names, coordinates.points[at], reach, (source,))
+        return cls(coordinates, names, coordinates.points[indices], reach, (source,))
 
     @property
     def covariance(self) -> Floats:
@@ -255,12 +257,12 @@ def _type_b_source(
     problem = adjustment.problem
     rows, columns = np.nonzero(problem.used_readings)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
-    whitened = design / problem.sigma[rows, columns][:, None]
+    whitened_design = design / problem.sigma[rows, columns][:, None]
     group = _draw_groups(adjustment.recording, type_b_entry.shared)[rows]
     response = np.zeros((point_response.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
-        response[:, g] = point_response[mine].T @ whitened[mine]
+        response[:, g] = point_response[mine].T @ whitened_design[mine]
     gauge = problem.gauge_rows
     lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, adjustment.state.target_points) * sigma
     if np.any(lengths):

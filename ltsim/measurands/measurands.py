@@ -54,13 +54,13 @@ class Measurand(ValueEquality):
         for name in task.targets:
             if name not in targets:
                 raise unknown_name("target", name, targets)
-        at = np.array([targets.index(name) for name in task.targets])
-        lost = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[at]).all(axis=1))]
+        indices = np.array([targets.index(name) for name in task.targets])
+        lost = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[indices]).all(axis=1))]
         if lost:
             raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
         try:
-            near = fit_feature(task.kind, points[at]) if task.kind in _FEATURE_OUTPUTS else None
-            measurand = cls(task, at, near)
+            near = fit_feature(task.kind, points[indices]) if task.kind in _FEATURE_OUTPUTS else None
+            measurand = cls(task, indices, near)
             measurand.values(points)
         except (ModelError, NetworkError) as problem:
             raise ModelError(f"task {task.name}: {problem}") from None
@@ -87,8 +87,8 @@ class Measurand(ValueEquality):
     def values(self, points: Floats, scale_change: Floats | float = 1.0) -> Floats:
         """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by a factor (...)."""
         chosen = points[..., self.target_indices, :]
-        middle = chosen.mean(axis=-2, keepdims=True)
-        chosen = middle + (chosen - middle) / np.asarray(scale_change)[..., None, None]
+        centre = chosen.mean(axis=-2, keepdims=True)
+        chosen = centre + (chosen - centre) / np.asarray(scale_change)[..., None, None]
         kind = self.task.kind
         if kind == "point":
             return chosen[..., 0, :]

@@ -121,7 +121,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
     if isinstance(origin, EpochCoordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = origin.recording, origin.problem
-    at = [recording.targets.index(name) for name in task_inputs.target_names]
+    indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.used_readings, int(problem.used_readings.sum())
     worst = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(N_CURVATURE_CHECKS):
@@ -138,7 +138,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
         )
         shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
-        exact = np.concatenate([m.values(again.state.target_points[at]) for m in measurands])
+        exact = np.concatenate([m.values(again.state.target_points[indices]) for m in measurands])
         worst = np.maximum(worst, np.abs(exact - linear))
     return worst
 
@@ -343,6 +343,6 @@ def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Fl
     ordered = np.sort(trial_results, axis=0)
     count = len(ordered)
     inside = int(np.clip(round(coverage_probability * count), 1, count - 1))
-    best = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
+    best_index = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
     columns = np.arange(trial_results.shape[1])
-    return np.stack([ordered[best, columns], ordered[best + inside, columns]], axis=1)
+    return np.stack([ordered[best_index, columns], ordered[best_index + inside, columns]], axis=1)

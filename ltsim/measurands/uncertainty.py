@@ -209,9 +209,9 @@ class Uncertainty(ResultFile):
 
     def _lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
-        more = len(self.results) - len(lines)
+        n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
-        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+        return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         parts = [(r, p) for r in self.results for p in r.budget]

@@ -130,9 +130,9 @@ class LayoutScorer:
         self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
         rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
         other = to_dense(rows[: rows.shape[0] - self._n_free_motions])
-        at = problem.unknowns
-        values = np.concatenate([at.extra_columns[: self._n_nuisances], at.instrument_columns[0]])
-        self._fixed_blocks(other, at.target_columns, at.pose_columns, values)
+        unknowns = problem.unknowns
+        values = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
+        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, values)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
@@ -232,10 +232,12 @@ class LayoutScorer:
             np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
         )
         t, x = self.whitened_rows(position, yaw, at, is_visible)
-        flat = x.reshape(len(position), -1, x.shape[3])
+        flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
         held = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
-        return NormalBlocks(position, yaw, is_visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        return NormalBlocks(
+            position, yaw, is_visible, held, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
+        )
 
     def evaluate_layouts(
         self, blocks: NormalBlocks, setup_indices: Ints, *, with_target_errors: bool = False
@@ -370,8 +372,8 @@ class LayoutScorer:
         axes = 3 * (count + gauge)
         rows = motion.reshape(layouts, axes, self._n_free_motions)
         held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
-        flat = carry.reshape(layouts, axes, size)
-        constrained = flat - rows @ (held @ flat)
+        flattened = carry.reshape(layouts, axes, size)
+        constrained = flattened - rows @ (held @ flattened)
         part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
         moved = np.einsum("beij,befj->beif", inverse, part)
         common = np.einsum("befi,beig->bfg", part, moved)

@@ -249,22 +249,22 @@ class _PlanSearch:
 
     def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
         """Best layout of every measuring procedure and number of repeats, in the order of cost."""
-        made = []
+        items = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
             for repeats in self.procedures[1]:
                 repeated = survey.replace(repeats=repeats)
                 objective = layout_objective(self.file, repeated)
-                made.append(
+                items.append(
                     TradeoffPoint(repeated, *objective_and_qualities(repeated, objective, self.problem.construction))
                 )
-        if not made:
+        if not items:
             return ()
-        made.sort(key=lambda option: (option.hours, option.objective_value))
-        best = np.minimum.accumulate([option.objective_value for option in made])
+        items.sort(key=lambda option: (option.hours, option.objective_value))
+        best = np.minimum.accumulate([option.objective_value for option in items])
         earlier = np.r_[np.inf, best[:-1]]
         return tuple(
-            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(made, earlier, strict=True)
+            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(items, earlier, strict=True)
         )
 
 

@@ -339,12 +339,12 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     count = len(information.undetermined_combinations)
     if not count:
         return []
-    which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
+    phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
     measured = Counter(
         cure.partition(BENEFIT_PREFIX)[0] for cure in information.determining_sentences() if BENEFIT_PREFIX in cure
     )
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
-    return [f"{which} not determined by this layout (see the table){cure}."]
+    return [f"{phrase} not determined by this layout (see the table){cure}."]
 
 
 def _search_sentence(plan: PlannedNetwork) -> list[str]:

@@ -169,8 +169,8 @@ class LayoutSearcher:
         """Best candidate for station `station_index` and its objective; infinite if all candidates break a rule."""
         self._report_step()
         values = self.replacement_objectives(layout, station_index, candidates)
-        best = int(np.argmin(values))
-        return best, float(values[best])
+        best_index = int(np.argmin(values))
+        return best_index, float(values[best_index])
 
     def _exchange_sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]

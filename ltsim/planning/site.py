@@ -168,13 +168,13 @@ class SearchSpace(ValueEquality):
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules on sights that a layout breaks, from its `is_visible`."""
         visible, targets, rules = survey.is_visible[None], survey.target_names, []
-        few = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
-        if few:
+        deficient_names = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
+        if deficient_names:
             verb, stations = (
-                "is" if len(few) == 1 else "are",
+                "is" if len(deficient_names) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MAX_NAMES_IN_RULE_TEXT)
+            named = listing(deficient_names, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
@@ -229,8 +229,12 @@ class SearchSpace(ValueEquality):
 
     def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
-        few = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MAX_NAMES_IN_RULE_TEXT) if len(few) else ""
+        deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
+        return (
+            listing([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
+            if len(deficient_names)
+            else ""
+        )
 
     def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
@@ -244,11 +248,11 @@ class SearchSpace(ValueEquality):
         """
         places, fixed = self.grid_places(step, heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
-        enough = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
-        if not enough.any():
+        is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
+        if not is_sufficient.any():
             raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
-        return StationPlacement(places[enough], visible[enough], self.min_station_spacing, fixed, counted)
+        return StationPlacement(places[is_sufficient], visible[is_sufficient], self.min_station_spacing, fixed, counted)
 
 
 @dataclass(frozen=True)

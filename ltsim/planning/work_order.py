@@ -138,8 +138,8 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
         for t in np.flatnonzero(is_visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
-    return sorted(every, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
+    candidates = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
+    return sorted(candidates, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
         :MAX_CONSIDERED_MARKS
     ]
 
@@ -192,10 +192,10 @@ def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_vis
     survey = plan.layout.survey
     way = survey.target_points[is_visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
-    best = int(np.argmin(np.abs(off)))
-    name = survey.target_names[np.flatnonzero(is_visible)[best]]
-    degrees = round(abs(float(off[best])) / DEGREE)
-    return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
+    best_index = int(np.argmin(np.abs(off)))
+    name = survey.target_names[np.flatnonzero(is_visible)[best_index]]
+    degrees = round(abs(float(off[best_index])) / DEGREE)
+    return name if degrees == 0 else f"{degrees}° {'right' if off[best_index] > 0 else 'left'} of {name}"
 
 
 def check_sentences(plan: PlannedNetwork) -> list[str]:

@@ -168,10 +168,10 @@ def _convention_from_faces(
 ) -> tuple[tuple[AngleUnit, VerticalKind], str] | None:
     """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
     counts = [_count_two_face_pairs(table, angle, vertical) for angle, vertical in open_]
-    best = int(np.argmax(counts))
-    if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
+    best_index = int(np.argmax(counts))
+    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best_index]:
         return None
-    return open_[best], f"{counts[best]} targets in two faces add up accordingly"
+    return open_[best_index], f"{counts[best_index]} targets in two faces add up accordingly"
 
 
 def _convention_from_lengths(

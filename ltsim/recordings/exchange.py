@@ -81,8 +81,8 @@ def _point_list_error(path: Path, hints: Hints) -> Recording:
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     else:
         message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
-    raise RecordError(f"{message} ({more})", file=path)
+    phrase = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+    raise RecordError(f"{message} ({phrase})", file=path)
 
 
 FORMATS: tuple[FileFormat, ...] = (

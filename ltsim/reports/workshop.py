@@ -163,7 +163,7 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
     height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
     planes = _find_wall_planes(points, normal) if planned else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
-    at = {name: i for i, name in enumerate(network.targets)}
+    index_by_name = {name: i for i, name in enumerate(network.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
     floor = _floor_rectangle(np.concatenate([points, position])[:, :2], planes)
     return replace(
@@ -175,7 +175,11 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
-        gauge_pairs=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
+        gauge_pairs=tuple(
+            (index_by_name[g.from_], index_by_name[g.to])
+            for g in lengths
+            if g.from_ in index_by_name and g.to in index_by_name
+        ),
         elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
         target_covariances=None if network.target_covariances is None else turn @ network.target_covariances @ turn.T,
         target_corrections=None if network.target_corrections is None else network.target_corrections @ turn.T,

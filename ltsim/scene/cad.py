@@ -126,8 +126,8 @@ def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
     ).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
-    whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
-    return corners[whole].reshape(-1, 9)
+    is_complete = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
+    return corners[is_complete].reshape(-1, 9)
 
 
 def _triangles_in_file_units(path: Path, factor: float) -> Floats:

@@ -223,9 +223,9 @@ def outline_error(outline: Floats) -> str:
     It is empty for an outline that does not cross itself and has an area.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
-    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
-    if len(same):
-        return f"its corner {same[0] + 1} coincides with the corner before it"
+    same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
+    if len(same_rows):
+        return f"its corner {same_rows[0] + 1} coincides with the corner before it"
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
     first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):

@@ -236,9 +236,9 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
     on_edge = triangles + along[..., None] * edge
     best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
-    over = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
     under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
-    return np.where(over[:, None], under, on_edge[np.arange(len(best)), best])
+    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(best)), best])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
@@ -319,12 +319,12 @@ def candidate_nest_places(
     if is_closed:
         normal[surface.is_inside_body(drawn + surface_offset * normal)] *= -1.0
     places = drawn + surface_offset * normal
-    good = normal[:, 2] > MIN_NORMAL_Z
-    good &= ~(is_closed & surface.is_inside_body(places))
+    is_valid = normal[:, 2] > MIN_NORMAL_Z
+    is_valid &= ~(is_closed & surface.is_inside_body(places))
     if obstacles is not None:
-        good &= ~obstacles.is_inside_body(places)
-    good[good] = _is_flat(surface, places[good], normal[good], surface_offset)
-    return _thin_places(places[good], min_spacing)
+        is_valid &= ~obstacles.is_inside_body(places)
+    is_valid[is_valid] = _is_flat(surface, places[is_valid], normal[is_valid], surface_offset)
+    return _thin_places(places[is_valid], min_spacing)
 
 
 def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:

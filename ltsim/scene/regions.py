@@ -103,8 +103,8 @@ class HallRegion:
 
     def target_weights(self, sightings: Sightings) -> Floats:
         """Weight w (n,) of the region at the target of each pointing."""
-        at = ["xyz".index(axis) for axis in self.bounded_axes]
-        gap = sightings.target_points[:, at] - np.asarray(self.centre)
+        indices = ["xyz".index(axis) for axis in self.bounded_axes]
+        gap = sightings.target_points[:, indices] - np.asarray(self.centre)
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
         return near
 
@@ -164,10 +164,10 @@ def _lines_relative_to_centres(
 
     Last, which lines (n,) cross a region, and do not run along it.
     """
-    at = ["xyz".index(axis) for axis in bounded_axes]
-    beam = sightings.beam_vectors[0][:, at]
+    indices = ["xyz".index(axis) for axis in bounded_axes]
+    beam = sightings.beam_vectors[0][:, indices]
     a = np.einsum("ni,ni->n", beam, beam)
-    start = sightings.station_positions[sightings.station][:, at] - region_centres[:, None]
+    start = sightings.station_positions[sightings.station][:, indices] - region_centres[:, None]
     return beam, sightings.range_, start, a, a > MAX_PARALLEL_SINE_SQUARED
 
 
@@ -239,9 +239,9 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
 def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
     count = is_crossed.sum(axis=1)
-    enough = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
+    is_sufficient = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
-    by_target = is_crossed[enough].astype(np.float32) @ of_target
-    enough[enough] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND
-    distinctive: Bools = enough
+    by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
+    is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND
+    distinctive: Bools = is_sufficient
     return distinctive

@@ -237,10 +237,10 @@ def narrowest_cone_axes(directions: Floats, n_steps: int = 1000) -> Floats:
     It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges
     as 1/i.
     """
-    flat = directions.reshape(-1, *directions.shape[-2:])
-    centre, every = flat.mean(axis=-2), np.arange(len(flat))
+    flattened = directions.reshape(-1, *directions.shape[-2:])
+    centre, every = flattened.mean(axis=-2), np.arange(len(flattened))
     for i in range(1, n_steps + 1):
-        farthest = np.argmin(np.einsum("tsk,tk->ts", flat, centre), axis=-1)
-        centre += (flat[every, farthest] - centre) / (i + 1)
+        farthest = np.argmin(np.einsum("tsk,tk->ts", flattened, centre), axis=-1)
+        centre += (flattened[every, farthest] - centre) / (i + 1)
         centre /= np.sqrt(np.sum(centre**2, axis=1, keepdims=True))
     return centre.reshape(directions.shape[:-2] + directions.shape[-1:])

@@ -198,8 +198,8 @@ class Injector:
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, effect_sizes))
         whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
-        projected = space.project(whole)
-        square = float(projected @ projected)
+        projected_signature = space.project(whole)
+        square = float(projected_signature @ projected_signature)
         return square if square > MIN_NUMERICAL_REDUNDANCY * float(whole @ whole) else 0.0
 
     def scale_to_noncentrality(

@@ -79,8 +79,8 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
     """Independent rows (k,) with nearly zero residuals at a point near the optimum."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
-    scaled = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
-    pivots = scipy.linalg.qr(scaled.T, mode="r", pivoting=True)[1]
+    scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
+    pivots = scipy.linalg.qr(scaled_design.T, mode="r", pivoting=True)[1]
     return order[pivots[:count]]
 
 

@@ -129,9 +129,9 @@ class CriteriaEntry(Entry):
 
     def criteria_table(self) -> Table:
         """Table of the criteria."""
-        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        by_name = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
         rows = []
-        for name, criterion in {**named, "coordinate": self.coordinate}.items():
+        for name, criterion in {**by_name, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
@@ -165,10 +165,10 @@ def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[t
     `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `min_observers`
     observers are omitted, so that memory depends on observed pairs only.
     """
-    measured = np.isfinite(clouds[:, :, 0])
+    is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
-        observers = np.flatnonzero(measured[:, point])
-        others = point + 1 + np.flatnonzero(measured[observers, point + 1 :].sum(axis=0) >= min_observers)
+        observers = np.flatnonzero(is_measured[:, point])
+        others = point + 1 + np.flatnonzero(is_measured[observers, point + 1 :].sum(axis=0) >= min_observers)
         yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
@@ -199,8 +199,8 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
     for targets, gap in iterate_pair_distances(np.swapaxes(aligned_clouds, 0, 1)):
         total[targets] += np.nansum(gap, axis=1)
         count[targets] += np.isfinite(gap).sum(axis=1)
-    shared = count >= 1
-    return StationDisagreement(total[shared] / count[shared])
+    is_shared = count >= 1
+    return StationDisagreement(total[is_shared] / count[is_shared])
 
 
 def evaluate_criteria(

@@ -95,10 +95,10 @@ class StationOccupation:
 
         `row_mask` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
         """
-        chosen = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
-        weight = recording.usable & chosen[:, None]
+        mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
+        weight = recording.usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
         by_point, by_value = construction.reading_design(sightings.raw_readings, np.zeros(construction.n_parameters))
@@ -107,12 +107,12 @@ class StationOccupation:
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
         blank = np.zeros((len(recording), 3, 0))
-        bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
+        bare = cls(recording, sightings, mask, gap, by_target, blank, sigma, 0)
         columns = bare.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
+        whole = cls(recording, sightings, mask, gap, by_target, instrument, sigma, dof)
         return replace(whole, whitened_residuals=whole.project_columns(gap[:, :, None] * scale)[:, :, 0])
 
     @property
@@ -151,13 +151,13 @@ class StationOccupation:
         """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = u[:, good].T @ self.whitened_residuals.ravel()
-        back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
+        is_valid = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        amount = u[:, is_valid].T @ self.whitened_residuals.ravel()
+        back = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = back @ back.T
-        unseen = np.sum(right[good] ** 2, axis=0) < MIN_DETERMINED_FRACTION
+        unseen = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
         covariance[unseen, unseen] = np.inf
-        return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
+        return ColumnsFit(float(amount @ amount), int(is_valid.sum()), back @ amount, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
         """p-value of a chi-square decrease: the larger one of declared and of estimated noise."""
@@ -191,8 +191,8 @@ class StationOccupation:
     def distance_from_mean(self, row: int) -> float:
         """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
         points = from_polar(self.recording.readings)
-        whole = np.isfinite(points).all(axis=1)
-        others: Bools = np.logical_and(whole & self.row_mask, self.recording.target == self.recording.target[row])
+        is_complete = np.isfinite(points).all(axis=1)
+        others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
@@ -208,20 +208,20 @@ class StationOccupation:
         in_use = self.inverse_sigmas > 0
         response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
         values, vectors = np.linalg.eigh(response)
-        controlled = values > MIN_READING_REDUNDANCY
+        is_controlled = values > MIN_READING_REDUNDANCY
         amount = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
-        drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
-        return drop, controlled.sum(axis=1).astype(np.int64)
+        drop = np.where(is_controlled, amount**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
+        return drop, is_controlled.sum(axis=1).astype(np.int64)
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
-    whole = np.isfinite(points).all(axis=1)
-    good = whole & row_mask if (whole & row_mask).any() else whole
+    is_complete = np.isfinite(points).all(axis=1)
+    is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
     total, count = np.zeros((len(recording.targets), 3)), np.zeros(len(recording.targets))
-    np.add.at(total, recording.target[good], points[good])
-    np.add.at(count, recording.target[good], 1.0)
+    np.add.at(total, recording.target[is_valid], points[is_valid])
+    np.add.at(count, recording.target[is_valid], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
     mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
     return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
@@ -352,9 +352,9 @@ def two_face_pairs(
     if not len(pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
     built = construction or ideal_construction()
-    applied = np.zeros(built.n_parameters) if values is None else values
+    applied_values = np.zeros(built.n_parameters) if values is None else values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
-    polar = to_polar(built.point(readings, applied))
+    polar = to_polar(built.point(readings, applied_values))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second
     gap[:, 1:] = wrap_angle(gap[:, 1:])

@@ -46,11 +46,11 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
 
     The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """
-    enough = np.asarray(redundancy) > 1.0
-    ratio = np.where(enough, sum_of_squares / np.where(enough, redundancy, 1.0), 1.0)
+    is_sufficient = np.asarray(redundancy) > 1.0
+    ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
-    return np.sqrt(ratio), np.where(enough, gain, 0.0)
+    return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
 PRIOR_FRACTION_BY_KIND = {

@@ -133,8 +133,10 @@ class NetworkFit:
             start_state = resect_contradicted_setups(
                 problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             )
-        whole = drop_undetermined(problem, start_state)
-        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start_state, MAX_OUTLIER_PASSES))
+        full_problem = drop_undetermined(problem, start_state)
+        fit = cls(
+            network, tuple(hypotheses), full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES)
+        )
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit if fit.solution.has_converged and fit._determines_shifts else None
@@ -281,14 +283,14 @@ class NetworkFit:
             readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
         if not outliers:
             readings[self.is_outlier] = np.nan
-        corrected = recording.replace(
+        corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
         if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
-            return corrected
+            return corrected_recording
         sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-        return corrected.replace(covariates={**corrected.covariates, **columns})
+        return corrected_recording.replace(covariates={**corrected_recording.covariates, **columns})
 
     @cached_property
     def residuals(self) -> Floats:
@@ -335,8 +337,8 @@ class NetworkFit:
             station = self.recording.stations.index(value.name)
             over = declared.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
-        return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+        candidates = (*reference_values(declared, self.state), *common_scale(declared, self.state))
+        return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
         """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""

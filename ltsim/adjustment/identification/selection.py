@@ -91,8 +91,8 @@ class SelectedHypothesis:
     @property
     def probabilities(self) -> Floats:
         """Posterior probabilities (2 + k,) of the hypothesis, of its k alternatives, and of none of them."""
-        every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
-        gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
+        candidates = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
+        gains = np.minimum(candidates, MAX_LOG_EVIDENCE_GAIN)
         return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
 
 
@@ -117,12 +117,12 @@ class CauseSelection:
         An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
         tests, also if the noise is smaller than declared. Single motions and reference values have separate tests.
         """
-        sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
-        shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
-        values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
-        far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
-        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
-        gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
+        certain = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
+        shared = [h for h in certain if h.kind in SHARED_CAUSE_KINDS]
+        values = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
+        is_far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
+        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in certain)
+        gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(is_far) == 1
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
@@ -182,17 +182,17 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     """
     fit = beginning = _initial_fit(network)
     last: FitKey | None = None
-    needed: list[Hypothesis] = []
+    spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
         needed = min_gain if not _has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         best = _refine_motion_time(tried[0][1])
-        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), needed)
+        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last, needed)
+    return _compare_again(fit, min_gain, beginning, last, spared)
 
 
 def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
@@ -335,40 +335,38 @@ def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float)
     return best
 
 
-def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, needed: list[Hypothesis]) -> NetworkFit:
+def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
-    Of `n_start` hypotheses, with which the fit started, only omitted reference values may be removed, because without
-    the others there is no network. Hypotheses in `needed` also remain; any that prove to be necessary are added to
-    it.
+    Of the first `n_start` hypotheses only omitted reference values may be removed: without the others there is no
+    network. Hypotheses in `spared` remain too; those that prove to be necessary are added to it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        if (i < n_start and not isinstance(h.model_change, ReferenceOmission)) or not h.competes_with(
-            fit.hypotheses[-1]
-        ):
+        is_initial = i < n_start and not isinstance(h.model_change, ReferenceOmission)
+        if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _fit_without(fit, h, needed)
+        rest = _fit_without(fit, h, spared)
         if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
-def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, needed: list[Hypothesis]) -> NetworkFit | None:
-    """Fit without one of its hypotheses; None, and an entry in `needed`, if there is no network without it."""
-    if any(h is hypothesis for h in needed):
+def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, spared: list[Hypothesis]) -> NetworkFit | None:
+    """Fit without one of its hypotheses; None, and an entry in `spared`, if there is no network without it."""
+    if any(h is hypothesis for h in spared):
         return None
-    others = tuple(h for h in fit.hypotheses if h is not hypothesis)
+    remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        rest = NetworkFit.from_start(fit.network, others, replace(fit.state, extra_parameters=np.zeros(0)))
+        rest = NetworkFit.from_start(fit.network, remaining, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         rest = None
     if rest is None:
-        needed.append(hypothesis)
+        spared.append(hypothesis)
     return rest
 
 
 def _compare_again(
-    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, needed: list[Hypothesis]
+    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, spared: list[Hypothesis]
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the others.
 
@@ -378,7 +376,7 @@ def _compare_again(
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, needed)
+        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, spared)
         if rest is None:
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
@@ -390,7 +388,7 @@ def _compare_again(
         )
         others = [(other, made) for other, made in tried if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _compare_again(others[0][1], min_gain, initial_fit, None, needed)
+            return _compare_again(others[0][1], min_gain, initial_fit, None, spared)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.

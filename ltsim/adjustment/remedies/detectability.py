@@ -202,8 +202,11 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
     from zero.
     """
-    at = [adjustment.construction.index(p.name) for p in effect.parameters]
-    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
+    indices = [adjustment.construction.index(p.name) for p in effect.parameters]
+    block, prior = (
+        adjustment.instrument_covariance[np.ix_(indices, indices)],
+        adjustment.problem.prior.sigma[0][indices],
+    )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < INFORMATION_ROUNDING_ERROR] = 0.0
     sizes = _minimal_sizes(information, noncentrality(len(information)))

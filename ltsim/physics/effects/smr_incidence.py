@@ -118,9 +118,9 @@ class SmrIncidence(Effect):
         """Parameters (14,) [m] that correspond to the table; they are corrections like all parameters."""
         if not self.table:
             return np.zeros(len(self.parameters))
-        middle = len(TABLE_ANGLES) // 2
-        upper = np.array(self.table[middle + 1 :]) - self.table[middle]
-        lower = np.array(self.table[:middle][::-1]) - self.table[middle]
+        middle_index = len(TABLE_ANGLES) // 2
+        upper = np.array(self.table[middle_index + 1 :]) - self.table[middle_index]
+        lower = np.array(self.table[:middle_index][::-1]) - self.table[middle_index]
         at_knots = _ramp_values(np.append(KNOT_ANGLES[1:], MAX_INCIDENCE))
         even, odd = np.linalg.solve(at_knots, 0.5 * np.stack([upper + lower, upper - lower], axis=1)).T
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)

@@ -269,13 +269,15 @@ class MeasurementModel:
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
-        raw = self._instrument_readings(sightings, state)
+        raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
-            sightings = self._with_effect_data(sightings, state, raw)
-            raw = raw + self.extra_change(sightings, state.extra_parameters)
+            sightings = self._with_effect_data(sightings, state, raw_readings)
+            raw_readings = raw_readings + self.extra_change(sightings, state.extra_parameters)
         if self._horizontal_distance_flags is not None:
-            raw[self._horizontal_distance_flags, 0] *= np.abs(np.cos(raw[self._horizontal_distance_flags, 2]))
-        return raw
+            raw_readings[self._horizontal_distance_flags, 0] *= np.abs(
+                np.cos(raw_readings[self._horizontal_distance_flags, 2])
+            )
+        return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Values of each additional effect; 0 for those that a state does not hold."""

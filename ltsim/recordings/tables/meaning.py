@@ -233,9 +233,9 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     if not length:
         length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
     readings = to_polar(printed * SI_PER_UNIT[length])
-    near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
-    if len(near):
-        raise table.pointings.source_location(int(near[0])).error(
+    near_indices = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(near_indices):
+        raise table.pointings.source_location(int(near_indices[0])).error(
             "coincides with the instrument, expected another point"
         )
     _require_separate_frames(table, printed * SI_PER_UNIT[length], file)

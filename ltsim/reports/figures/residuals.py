@@ -179,8 +179,8 @@ def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str,
 
 def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
     """Draw the mean of the dots in about ten equally filled bins, with twice its standard error."""
-    good = np.isfinite(x) & np.isfinite(values)
-    order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
+    is_valid = np.isfinite(x) & np.isfinite(values)
+    order = np.flatnonzero(is_valid)[np.argsort(x[is_valid], kind="stable")]
     bins = np.array_split(order, min(len(order) // 12, 12)) if len(order) >= 36 else []
     if not bins:
         return

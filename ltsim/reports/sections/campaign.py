@@ -248,10 +248,13 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
     """Distributions of the criteria, or of other errors, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
-    wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
-    wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
+    columns_used = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
+    columns_used.sort(
+        key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord"))
+    )
     values = {
-        c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN_TRIALS) for c in wanted
+        c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN_TRIALS)
+        for c in columns_used
     }
     return [
         TrialDistribution(_column_label(c), v, "um" if c.endswith("_um") else "%", published_values.get(c))
@@ -327,8 +330,16 @@ def _statistic_tables(
 ) -> list[Block]:
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
-    more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = _settings_table(results, cells.with_columns(" ".join(name for name in cells.header if name not in more)))
+    extra_fields = {
+        "cell",
+        "deviation",
+        "least",
+        "largest",
+        *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
+    }
+    shown = _settings_table(
+        results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
+    )
     means = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in spreads]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)

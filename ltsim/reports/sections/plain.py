@@ -291,5 +291,5 @@ def _course_sentence(content: History, is_usual: bool) -> str:
         )
     if is_usual:
         return f"changed no more than it usually does between calibrations {tested}."
-    which = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
-    return f"has changed since the first{which} {tested}."
+    phrase = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
+    return f"has changed since the first{phrase} {tested}."

@@ -39,9 +39,9 @@ def effect_place_text(effect: Any) -> str:
 
 def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.applied_effects}
-    ordered = [named.get(f.effect) for f in content.findings]
-    ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
+    by_name = {a.effect.name: a for a in truth.applied_effects}
+    ordered = [by_name.get(f.effect) for f in content.findings]
+    ordered += [a for name, a in by_name.items() if name not in {f.effect for f in content.findings}]
     rows = [
         row
         for injected, finding in zip_longest(ordered, content.findings)
