@@ -24,6 +24,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 MAX_FLOOR_PLAN_ERROR = 0.5
 """Largest distance [m] of a station from its position on a floor plan."""
 MEDIAN_BATCH_SIZE = 4096

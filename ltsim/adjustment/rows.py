@@ -21,6 +21,7 @@ from ltsim.recordings.references import ReferenceLengths, mark_indices
 from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
+"""Norm of the objective of each distance method: sum of squares, or sum of absolute values."""
 
 
 def calibrate_distance(

@@ -18,6 +18,7 @@ SUMMARY_FILE = "summary.csv"
 DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with differences from the full solver, for the trials that it repeated."""
 PARAMETER_UNIT_TEXT = "of the parameter"
+"""Unit of a column whose numbers are in the unit of the parameter that its name contains."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
 """Status of a trial without a result."""
 ErrorOrigin = Literal["drawn", "stated"]

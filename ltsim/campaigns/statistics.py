@@ -48,6 +48,7 @@ MAX_ROWS_EXACT_QUANTILES = 50_000_000
 used.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
+"""Criteria of the paper whose improvement [%] a campaign reports."""
 
 
 @dataclass(frozen=True)

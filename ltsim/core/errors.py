@@ -93,6 +93,7 @@ class ConvergenceError(LtsimError):
 MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
 _SPELLING = {"flags": False}
+"""Spelling of options in messages: as flags of the command line, or as arguments in Python."""
 FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
 """Command-line spelling of the options that are not named like their Python parameter."""
 

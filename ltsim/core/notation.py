@@ -13,6 +13,7 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text of a missing number; never `nan`."""
 MAX_DECIMALS = 12
+"""Largest number of decimals of a displayed standard deviation: with sigmas below 1e-12 it shows 0."""
 
 
 def number_text(value: float | None, n_digits: int = 3) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ltsim.core.errors import SetupError
 
 WORD_SIZE = 2**32
+"""Upper bound of the words of a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose numbers come from one stream. It is part of the definition of the numbers and must
 not change.

@@ -92,6 +92,7 @@ _CIRCLE_PARTS = MappingProxyType(
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
     }
 )  # fmt: skip
+"""Number of units in a full circle, for each unit of an angle."""
 UNIT_BY_KEY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",

@@ -35,9 +35,11 @@ from ltsim.simulation.workshop import (
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
 RANGES_ONLY = ("distance",)
+"""Observables of an instrument that measures distances only."""
 MIN_RANGE_STATIONS = 3
 """Number of stations whose ranges determine a reflector."""
 NO_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+"""Placing without deviations: stations, targets and gauge stand exactly as planned."""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:

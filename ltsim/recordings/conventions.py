@@ -41,11 +41,13 @@ MIN_MISFIT_RATIO = 10.0
 MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
 MAX_LISTED_NOTES = 3
+"""Largest number of rows or notes that a message lists."""
 MIN_PLAUSIBLE_PACE_S = 0.1
 """Shortest plausible median time [s] between consecutive targets; below it a question about the clock is asked."""
 MAX_PLAUSIBLE_PACE_S = 7200.0
 """Longest plausible median time [s] between consecutive targets; above it a question about the clock is asked."""
 MIN_TARGET_CHANGES = 8
+"""Smallest number of changes of the target for which the median time between targets is judged."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,9 @@ from ltsim.core.storage import write_files
 MAX_RECORDING_NAME_LENGTH = 100
 """Largest number of characters of a name in a recording."""
 MAX_NUMBER_LENGTH = 40
+"""Largest number of characters of a cell that is read as a number."""
 MAX_TEXT_LENGTH = 500
+"""Largest number of characters of a name or text that is read."""
 MAX_RECORDING_TITLE_LENGTH = 120
 """Largest number of characters of a title of a recording."""
 UTF8_MARK = b"\xef\xbb\xbf"

@@ -60,6 +60,7 @@ COLUMN_BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
+"""Smallest and largest permitted number of each column, in the unit of its name."""
 FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Units in headings of further columns, in addition to the units of ltsim."""
 

@@ -23,6 +23,7 @@ from ltsim.recordings.recording import (
 from ltsim.recordings.setup import Setup
 
 NOT_MEASURED = float("nan")
+"""Value of a reading that was not measured."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
 _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 

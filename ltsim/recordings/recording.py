@@ -38,6 +38,7 @@ REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MIN_COS_ELEVATION = 1e-6
+"""Smallest cosine of the elevation by which a length across the beam is divided, to avoid division by zero."""
 MAX_COS_STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).

@@ -20,6 +20,7 @@ from ltsim.scene.meshes import Obstacles
 DOWNWARD = np.array([0.0, 0.0, -1.0])
 """Unit vector of the plumb line downwards."""
 ANGLE_TOLERANCE = 1e-9
+"""Tolerance of comparisons with the limits of angles [rad] and of distances [m]: rounding only."""
 
 
 class InvisibilityReason(IntEnum):

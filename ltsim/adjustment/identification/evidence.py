@@ -22,6 +22,7 @@ from ltsim.core.arrays import Floats
 SHIFT_SIZE_DECADES = 6.0
 """Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
+"""Log of the width, in natural logarithms of the size, of the log-uniform prior of a shift."""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
@@ -69,6 +70,7 @@ PRIOR_FRACTION_BY_KIND = {
     "height": 0.05,
     "noise-level": 0.05,
 }
+"""Fraction of the prior probability of all causes that each kind has; its places share it equally."""
 
 
 def log_prior_of(kind: str, n_places: int) -> float:

@@ -205,6 +205,7 @@ CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
     "face-confusion": "unit",
     "outlier": "height",
 }
+"""Kind of cause under which a corrected blunder is reported, by the name of the blunder's effect."""
 
 
 def row_corrections(fit: NetworkFit) -> list[Hypothesis]:

@@ -40,6 +40,7 @@ BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearin
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
+"""Covariates with few values, such as the face, which a law uses as they are."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")

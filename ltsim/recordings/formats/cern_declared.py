@@ -25,6 +25,7 @@ FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x",
 """Coordinates that are fixed, by the keyword of a point."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
+"""Keywords of LGC for declared rotations of an instrument, which are not read."""
 OPTIONS_WITH_VALUE = (
     "OBSE",
     "PPM",
@@ -41,6 +42,7 @@ OPTIONS_WITH_VALUE = (
     "IHSE",
     "ICSE",
 )
+"""Options of LGC that are followed by a value; others are flags."""
 
 
 @dataclass(frozen=True)

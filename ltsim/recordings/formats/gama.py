@@ -51,6 +51,7 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
+"""Axes of gama-local that form a left-handed frame: the sign of y is changed."""
 DIRECT_AXES = ("en", "nw", "se", "ws")
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 STDEV_ATTRIBUTES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {

@@ -32,11 +32,13 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
 MAX_SAME_POINT_DISTANCE = 2e-3
+"""Largest distance [m] between the centres of two groups of points that count as one target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns of a block, as in the option --columns."""
 PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that a block must have, with their permitted units."""
 RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
+"""Columns of a report that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 

@@ -15,6 +15,7 @@ from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
 
 MAX_STATION_PANELS = 30
+"""Largest number of stations of a figure with one panel each."""
 MAX_VECTOR_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND_HALF_WIDTH_SIGMAS = 1.96

@@ -39,6 +39,7 @@ EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
 """Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
 MAX_ZERO_CONSTANT = 1e-6
+"""Constant of an effect, in its unit, up to which it is zero and is not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
