@@ -50,18 +50,20 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
     Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
     (mirrored, other scale), and if known points define the frame already.
     """
-    common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
+    common_names = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
-    if len(common) < 3:
-        message = f"contains {len(common)} of the recording's targets, expected at least three that are not on one line"
+    if len(common_names) < 3:
+        message = (
+            f"contains {len(common_names)} of the recording's targets, expected at least three that are not on one line"
+        )
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
-    here = reached[[recording.targets.index(name) for name in common]]
-    there = np.array([points[name] for name in common])
+    here = reached[[recording.targets.index(name) for name in common_names]]
+    there = np.array([points[name] for name in common_names])
     _require_network_shape(here, there, source)
     if recording.setup.curved:
-        recording = _with_plumb_lines(recording, common, there)
-    return _with_datum(recording, {name: points[name] for name in common}, source=source)
+        recording = _with_plumb_lines(recording, common_names, there)
+    return _with_datum(recording, {name: points[name] for name in common_names}, source=source)
 
 
 def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
@@ -69,12 +71,12 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
 
     The residuals of the coordinates determine both; None if the scale is not significant.
     """
-    used = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
-    if len(used) < MIN_SCALED_TARGETS:
+    used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
+    if len(used_tests) < MIN_SCALED_TARGETS:
         return None
-    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
     column = (places - places.mean(axis=0)).ravel()
-    residuals = np.array([test.residual for test in used])
+    residuals = np.array([test.residual for test in used_tests])
     residual = (residuals - residuals.mean(axis=0)).ravel()
     scale = float(column @ residual / (column @ column))
     dof = residual.size - 7  # six motions and the scale
@@ -92,9 +94,9 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     network, aligned to the points, gives the plumb lines in these axes.
     """
     adjusted = adjust(recording)
-    at = np.array([recording.targets.index(name) for name in names])
-    determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = align_robustly(adjusted.state.target_points[at[determined]], declared_points[determined])
+    indices = np.array([recording.targets.index(name) for name in names])
+    is_determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
+    turn, _ = align_robustly(adjusted.state.target_points[indices[is_determined]], declared_points[is_determined])
     lines = plumb_directions(adjusted.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
@@ -140,7 +142,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
-    listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
+    listed, targets, count = read_points(path, requires_all=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
         listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
     ):
@@ -196,8 +198,8 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
     if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
-    why = "they are left-handed" if is_mirrored else "check the hall and the names"
-    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
+    reason = "they are left-handed" if is_mirrored else "check the hall and the names"
+    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
     raise RecordError(message, file=source)
 
 

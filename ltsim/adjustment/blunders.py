@@ -96,20 +96,22 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
     recording, points = adjustment.recording, adjustment.state.target_points
-    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
-    if not len(at):
+    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    if not len(indices):
         return
-    gaps = np.linalg.norm(_points_from_readings(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
+    gaps = np.linalg.norm(
+        _points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
+    )
     nearest = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(at)), nearest] < MAX_CORRECTED_DISTANCE
+    lands = gaps[np.arange(len(indices)), nearest] < MAX_CORRECTED_DISTANCE
     pairs: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero(lands & (nearest != recording.target[at])):
-        a, b = sorted((int(recording.target[at[i]]), int(nearest[i])))
-        pairs.setdefault((int(recording.station[at[i]]), a, b), []).append(int(i))
+    for i in np.flatnonzero(lands & (nearest != recording.target[indices])):
+        a, b = sorted((int(recording.target[indices[i]]), int(nearest[i])))
+        pairs.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
     for (s, a, b), members in pairs.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
-        booked = sorted(set(recording.target[at[members]].tolist()))
+        booked = sorted(set(recording.target[indices[members]].tolist()))
         if len(booked) == 2:
             sentence = (
                 f"At station {station} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
@@ -117,51 +119,51 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
-        finding = IdentifiedBlunder("target-swap", at[members], (station,), names, (), gap, sentence)
-        yield finding, recording.readings[at[members]], nearest[members]
+        finding = IdentifiedBlunder("target-swap", indices[members], (station,), names, (), gap, sentence)
+        yield finding, recording.readings[indices[members]], nearest[members]
 
 
 def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
-    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
-    if not len(at):
+    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    if not len(indices):
         return
     off = (
-        _points_from_readings(adjustment, recording.readings[at], at)
-        - adjustment.state.target_points[recording.target[at]]
+        _points_from_readings(adjustment, recording.readings[indices], indices)
+        - adjustment.state.target_points[recording.target[indices]]
     )
-    up = plumb_directions(recording)[recording.station[at]]
+    up = plumb_directions(recording)[recording.station[indices]]
     high = np.einsum("ni,ni->n", off, up)
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
     is_vertical = aside < np.minimum(
         np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(high)),
-        adjustment.sightings.range_[at],
+        adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
-    lift[at] = high[:, None] * up
+    lift[indices] = high[:, None] * up
     corrected = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero((np.abs(high) > MAX_CORRECTED_DISTANCE) & is_vertical):
         key = (
-            int(recording.station[at[i]]),
-            int(recording.target[at[i]]),
+            int(recording.station[indices[i]]),
+            int(recording.target[indices[i]]),
             round(high[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
         )
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
-        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
             f"{where} the target: the height of the target or the instrument is wrong."
         )
-        rows_ = at[members]
+        rows_ = indices[members]
         finding = IdentifiedBlunder("outlier", rows_, (station,), (target,), (), abs(size), sentence)
         yield finding, corrected[rows_], recording.target[rows_]
 
@@ -240,8 +242,8 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
     wrong = recording.usable[:, 2] & (shown != recording.face)
-    back = recording.face == 2
-    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
+    is_back_face = recording.face == 2
+    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (is_back_face, ~is_back_face)):
         return recording, []
     findings = []
     for s in np.unique(recording.station[wrong]):

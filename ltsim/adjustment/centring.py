@@ -72,12 +72,12 @@ class CentringErrors:
     @property
     def descriptions(self) -> list[str]:
         """Descriptions of the centring errors: mark, role, day, size and components."""
-        named = []
+        names = []
         for occupation, value, (size, sigma) in zip(self.occupations, self.shifts, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             size_text = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
-            named.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
-        return named
+            names.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
+        return names
 
     @property
     def sentence(self) -> str:

@@ -54,7 +54,7 @@ def adjust(
     effects: Sequence[Signature] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
-    start: NetworkState | None = None,
+    start_state: NetworkState | None = None,
     datum: Sequence[str] | None = None,
     robust: bool = False,
     variance_components: NoiseGrouping | None = None,
@@ -75,7 +75,7 @@ def adjust(
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
-    start : NetworkState, optional
+    start_state : NetworkState, optional
         State from which the adjustment starts; default from the recording alone. With a start no pointing is screened
         out.
     datum : sequence of str, optional
@@ -90,7 +90,7 @@ def adjust(
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
     tested_kinds : collection of str
-        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
+        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start_state` none is.
 
     Returns
     -------
@@ -114,36 +114,37 @@ def adjust(
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
     _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
-    searched = start is None
-    if start is None:
+    searched = start_state is None
+    if start_state is None:
         _, network, gross, lost = screen_gross_errors(recording)
         gross &= ~_is_over_wrong_mark(recording, gross)
         parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
-        start = NetworkState(*network, parameters)
-    recording = with_plumb_lines(recording, start.station_positions)
+        start_state = NetworkState(*network, parameters)
+    recording = with_plumb_lines(recording, start_state.station_positions)
     model = MeasurementModel(recording, built, tuple(effects))
-    if len(start.extra_parameters) != model.n_extra_parameters:
-        start = replace(start, extra_parameters=np.zeros(model.n_extra_parameters))
+    if len(start_state.extra_parameters) != model.n_extra_parameters:
+        start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    chosen = keep if reading_mask is None else keep & reading_mask
+    mask = keep if reading_mask is None else keep & reading_mask
     find = snoop_readings if robust else _solve
     whole = NetworkProblem.from_model(
-        model, sigma=sigma, reading_mask=chosen, effect_prior_sigma=effect_prior_sigma, prior=prior
+        model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
     )
     _require_fixed_smr_offsets(whole)
-    start = replace(
-        start, station_positions=whole.marks.positions_on_marks(start.station_positions, start.target_points)
+    start_state = replace(
+        start_state,
+        station_positions=whole.marks.positions_on_marks(start_state.station_positions, start_state.target_points),
     )
-    whole = drop_undetermined(whole, start)
+    whole = drop_undetermined(whole, start_state)
     wrong: tuple[ReferenceTest, ...] = ()
     if searched and not (robust and whole.has_no_references):
         sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = snoop_references(sound, solve(sound, start), tested_kinds)
+        problem, solution, wrong = snoop_references(sound, solve(sound, start_state), tested_kinds)
         model = problem.model
     if wrong and robust:
-        whole, start = whole.with_model(model), solution.x
+        whole, start_state = whole.with_model(model), solution.x
     if robust or not searched:
-        problem, solution = find(whole, start)
+        problem, solution = find(whole, start_state)
     components: tuple[VarianceComponent, ...] = ()
     if variance_components is not None:
         problem, solution, components = estimate_variance_components(
@@ -192,8 +193,8 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
         )
 
 
-def _solve(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
-    return problem, solve(problem, start)
+def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+    return problem, solve(problem, start_state)
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
@@ -274,11 +275,11 @@ def _axes_tests(
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     adjusted = adjustment.with_inner_datum(chosen)
-    at = [adjusted.recording.targets.index(name) for name in names]
+    indices = [adjusted.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
     turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
-    covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared_points - state.target_points[at], state.target_points[at]
+    covariance = turn @ adjusted.target_covariance[indices] @ turn.T
+    gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
     free = motions_about_centre(adjusted.problem.free_motions, centre)
     motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])
@@ -287,30 +288,36 @@ def _axes_tests(
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
     rest = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
     return [
-        _axis_point_test(name, gap[k], covariance[k], held[k], used=bool(used_mask[k]), rest=rest)
+        _axis_point_test(name, gap[k], covariance[k], held[k], is_used=bool(used_mask[k]), tested_axis=rest)
         for k, name in enumerate(names)
     ]
 
 
 def _axis_point_test(
-    name: str, misclosure: Floats, covariance: Floats, axes_share: Floats, *, used: bool, rest: tuple[float, int, float]
+    name: str,
+    misclosure: Floats,
+    covariance: Floats,
+    axes_share: Floats,
+    *,
+    is_used: bool,
+    tested_axis: tuple[float, int, float],
 ) -> ReferenceTest:
     """Test of a point with misclosure `misclosure` (3,) and `covariance` (3, 3); `axes_share` is its share in the axes.
 
     With R = 1 - `axes_share`, the residual of a point in use is R times its error; that of another point is its full
     error.
     """
-    share, turned = np.linalg.eigh(np.eye(3) - axes_share if used else np.eye(3) + axes_share)
+    share, turned = np.linalg.eigh(np.eye(3) - axes_share if is_used else np.eye(3) + axes_share)
     is_checked = share > MIN_NUMERICAL_REDUNDANCY
     turned, share = turned[:, is_checked], share[is_checked]
-    shown = share if used else np.ones(len(share))
-    square, dof, level = rest
+    shown = share if is_used else np.ones(len(share))
+    square, dof, level = tested_axis
     error = turned.T @ misclosure / shown
-    if used:
+    if is_used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
     scatter = max(square, 0.0) / max(dof, 1)
     network = (turned.T @ covariance @ turned) / np.outer(shown, shown)
-    spread = network + np.diag(scatter / share if used else scatter * share)
+    spread = network + np.diag(scatter / share if is_used else scatter * share)
     limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
     return ReferenceTest(
         kind="axes",
@@ -322,6 +329,6 @@ def _axis_point_test(
         sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
         chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
-        is_excluded=not used,
+        is_excluded=not is_used,
         critical_value=max(MAX_NORMALISED_ERROR, float(np.sqrt(limit))),
     )

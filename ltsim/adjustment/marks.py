@@ -61,6 +61,6 @@ class StationMarks:
             - self.instrument_offsets[self.first_setup_on_mark]
             + self.instrument_offsets
         )
-        over = np.flatnonzero(self.target_indices >= 0)
-        settled[over] = points[self.target_indices[over]] + self.instrument_offsets[over]
+        marked_indices = np.flatnonzero(self.target_indices >= 0)
+        settled[marked_indices] = points[self.target_indices[marked_indices]] + self.instrument_offsets[marked_indices]
         return settled

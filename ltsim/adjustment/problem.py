@@ -72,13 +72,13 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
-        used = recording.usable if reading_mask is None else recording.usable & reading_mask
+        is_used = recording.usable if reading_mask is None else recording.usable & reading_mask
         gauge, control, levels = (
             GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),
-            LevelRows.from_recording(recording, used),
+            LevelRows.from_recording(recording, is_used),
         )
-        mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, used)
+        mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
         differences = DifferenceRows.from_marks(recording, marks)
         plausible = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
         plausible += [size for errors in model.nuisance_errors for size in errors.size_scales]
@@ -88,7 +88,7 @@ class NetworkProblem(NetworkRows):
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
             extra_sigma=np.array(plausible, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
-            used_readings=used,
+            used_readings=is_used,
             gauge_rows=gauge,
             control_rows=control,
             level_rows=levels,
@@ -162,9 +162,12 @@ class NetworkProblem(NetworkRows):
 
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
         """State after a step."""
-        at = self.unknowns
+        unknowns = self.unknowns
         return state.with_increments(
-            step[at.pose_columns], step[at.target_columns], step[at.instrument_columns], step[at.extra_columns]
+            step[unknowns.pose_columns],
+            step[unknowns.target_columns],
+            step[unknowns.instrument_columns],
+            step[unknowns.extra_columns],
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:

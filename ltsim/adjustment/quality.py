@@ -91,11 +91,11 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     if not (alone.solution.has_converged and alone.sigma0 < MIN_SIGMA0_RATIO * adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.target_points[control.place_indices] - control.declared_points).max())
-    whole = control.declared_components.all(axis=1)
-    adjusted = alone.state.target_points[control.place_indices[whole]]
+    is_complete = control.declared_components.all(axis=1)
+    adjusted = alone.state.target_points[control.place_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest miss {gap:.3g} mm): {_control_difference_text(adjusted, control.declared_points[whole])}"
+        f"largest miss {gap:.3g} mm): {_control_difference_text(adjusted, control.declared_points[is_complete])}"
     )
 
 
@@ -121,10 +121,10 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     )
 
 
-def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
+def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
     """Root sum of squares [m] after a rigid fit."""
     try:
-        return float(np.linalg.norm(alignment_distances(points, goals, align_rigidly(points, goals))))
+        return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
         return float("inf")
 
@@ -184,9 +184,9 @@ def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on reference values that contradict the other observations."""
-    every = (*adjustment.rejected_references, *adjustment.axis_tests)
+    candidates = (*adjustment.rejected_references, *adjustment.axis_tests)
     sentences = [
-        test.sentence for test in every if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
+        test.sentence for test in candidates if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
     ]
     yield from sentences[:MAX_SENTENCES_PER_KIND]
     if len(sentences) > MAX_SENTENCES_PER_KIND:
@@ -206,10 +206,13 @@ def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
 def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
-    planned = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
-    if len(planned) < MIN_PLAN_STATIONS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
+    planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
+    if len(planned_indices) < MIN_PLAN_STATIONS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
-    here, there = state.station_positions[planned] * [1.0, 1.0, 0.0], frame.plan_positions[planned] * [1.0, 1.0, 0.0]
+    here, there = (
+        state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
+        frame.plan_positions[planned_indices] * [1.0, 1.0, 0.0],
+    )
     extent = float(np.ptp(here, axis=0).max())
     if extent < MAX_FLOOR_PLAN_ERROR:  # set-ups over one mark
         return
@@ -219,7 +222,7 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     )
     if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_PLAN_MISCLOSURE * extent):
         return
-    names = listing([adjustment.recording.stations[s] for s in planned])
+    names = listing([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, MAX_MIRROR_MISCLOSURE_RATIO * as_is):
         yield (
             f"the declared places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "

@@ -123,14 +123,14 @@ class ResidualSpace:
         return change
 
 
-def orthonormal_columns(projected: Floats, norms: Floats) -> Floats:
-    """Orthonormal columns (m, r) that span the `projected` signatures (m, q).
+def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
+    """Orthonormal columns (m, r) that span the `projected_columns` signatures (m, q).
 
     Directions without projection are dropped.
 
     Directions are compared with the lengths `norms` (q,) of the complete signatures, so that units have no influence.
     """
-    unit = projected / np.where(norms > 0, norms, 1.0)
+    unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
     is_visible = strength > MIN_NUMERICAL_REDUNDANCY
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))

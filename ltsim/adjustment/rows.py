@@ -21,6 +21,7 @@ from ltsim.recordings.references import ReferenceLengths, mark_indices
 from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,12 @@ class GaugeRows(ReferenceLengths):
         single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(single)
 
-    def decorrelate_scaled(self, single: Floats) -> Floats:
+    def decorrelate_scaled(self, length_values: Floats) -> Floats:
         """Values (g, ...), in the standard deviation of each length, transformed to independent ones."""
         return (
-            single
+            length_values
             if self.correlation_root is None
-            else scipy.linalg.solve_triangular(self.correlation_root, single, lower=True)
+            else scipy.linalg.solve_triangular(self.correlation_root, length_values, lower=True)
         )
 
     def __len__(self) -> int:

@@ -246,12 +246,12 @@ class UndeterminedUnknowns:
     @property
     def fixed_pose_components(self) -> Bools:
         """Flags (S, 6) of the fixed components of poses; all three rotations if the yaw is undetermined."""
-        held = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
-        held[self.yaw_free_stations, 3:] = True
-        held[self.tilt_free_stations, 3:] = True
-        held[self.height_free_stations, 2] = True
-        held[self.unread_stations, :3] = True
-        return held
+        is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
+        is_fixed[self.yaw_free_stations, 3:] = True
+        is_fixed[self.tilt_free_stations, 3:] = True
+        is_fixed[self.height_free_stations, 2] = True
+        is_fixed[self.unread_stations, :3] = True
+        return is_fixed
 
     @property
     def n_fixed(self) -> int:
@@ -283,14 +283,14 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
         network.model.recording,
         network.control_rows.declared_components,
     )
-    high = use[:, 2].any()
+    has_height = use[:, 2].any()
     has_scale = (
         use[:, 0].any() or len(network.gauge_rows) or len(network.difference_rows) or len(network.control_rows_of_marks)
     )
     if (
         has_scale
-        or control_axes[:, : 3 if high else 2].any()
-        or (high and any(height.any() for height in recording.heights()))
+        or control_axes[:, : 3 if has_height else 2].any()
+        or (has_height and any(height.any() for height in recording.heights()))
     ):
         return False
     targets = map(recording.target_setup, recording.targets)

@@ -43,8 +43,8 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
     """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
-    used = adjustment.problem.used_readings.any(axis=1)
-    return chosen if chosen.is_relevant(longest_range(adjustment)) and used.any() else None
+    is_used = adjustment.problem.used_readings.any(axis=1)
+    return chosen if chosen.is_relevant(longest_range(adjustment)) and is_used.any() else None
 
 
 def longest_range(adjustment: Adjustment) -> float:

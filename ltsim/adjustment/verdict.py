@@ -48,9 +48,9 @@ class Verdict:
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
-def verdict_on(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
-    """The verdict on an adjustment, by a global test at a two-sided `level`."""
-    judged, open_ = _verdict_from_tests(adjustment, level), adjustment_warnings(adjustment)
+def verdict_on(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> Verdict:
+    """The verdict on an adjustment, by a global test at a two-sided `alpha`."""
+    judged, open_ = _verdict_from_tests(adjustment, alpha), adjustment_warnings(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -58,30 +58,30 @@ def verdict_on(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
     return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
+def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
     """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
-    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
     by_w, wrong = len(outliers), _reading_count_text(len(outliers))
-    shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
+    phrase = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
+        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {phrase}, no outlier.", False)
     if low <= sigma0 <= high:
-        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
+        sentence = f"Trust the test of single readings: {wrong} although {phrase} passes, because a sum over many "
         return Verdict(VerdictCase.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the declared noise: {shown} is below that range, but few degrees of freedom support no other."
+            f"Trust the declared noise: {phrase} is below that range, but few degrees of freedom support no other."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
-            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, level)}"
+            f"Trust the estimated sigma0: {phrase}, the declared noise is too large, and the w-test too tolerant; in "
+            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
     rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
@@ -89,18 +89,18 @@ def _verdict_from_tests(adjustment: Adjustment, level: float) -> Verdict:
     if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
         rest_text = "the other readings agree with the declared noise."
         if adjustment.cause_sentences:
-            sentence = f"{shown} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
+            sentence = f"{phrase} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
             return Verdict(VerdictCase.SINGLE_ERRORS, sentence[0].upper() + sentence[1:], False)
-        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; {rest_text}"
+        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; {rest_text}"
         return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
+            f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {shown}; {_rejection_reasons(adjustment)}, "
+        f"Trust the global test and the estimated sigma0: {phrase}; {_rejection_reasons(adjustment)}, "
         f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
         f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
     )
@@ -117,7 +117,7 @@ def _rejection_reasons(adjustment: Adjustment) -> str:
     )
 
 
-def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
+def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> str:
     """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
     Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
@@ -129,7 +129,7 @@ def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL
         use = problem.used_readings[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
         square = float(np.sum(scaled[use, k] ** 2))
-        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
+        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > alpha / 2:
             continue
         factor = np.sqrt(square / redundancy)
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():

@@ -198,28 +198,28 @@ class CalibrationSeries(ValueEquality):
             joint[i, :, i] += pull[i] @ remaining[i]
         return joint
 
-    def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, with p-values.
+    def change(self, first_number: int, second_number: int) -> ChangeEntry:
+        """Change from calibration number `first_number` to number `second_number`: later minus earlier, with p-values.
 
         Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
         of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
-        contrast[0, [first, second]] = -1.0, 1.0
+        contrast[0, [first_number, second_number]] = -1.0, 1.0
         gap, spread = self._contrasts_and_covariance(contrast, np.eye(len(parameters)))
         sigma = np.sqrt(np.where(self._mean_variance_reduction > MAX_UNINFORMATIVE_GAIN, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
         holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
-        changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
+        changed_indices = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
         unit = self.prior_sigma / [p.si_per_display_unit for p in parameters]
         test: dict[str, Any] = _chi_square_test(
             *self._contrasts_and_covariance(contrast, self._informative_combinations)
         ).model_dump()
         return ChangeEntry(
-            **test | {"from": self.labels[first], "to": self.labels[second]},
-            changed=tuple(parameters[k].name for k in changed),
+            **test | {"from": self.labels[first_number], "to": self.labels[second_number]},
+            changed=tuple(parameters[k].name for k in changed_indices),
             parameters=tuple(
                 DifferenceEntry(
                     name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
@@ -281,8 +281,8 @@ class CalibrationSeries(ValueEquality):
             variance = spread
             if settled:
                 break
-        silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
-        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
+        is_silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
+        mean, variance = np.where(is_silent, 0.0, mean), np.where(is_silent, 1.0, variance)
         unit = self.prior_sigma
         return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
@@ -329,18 +329,18 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
 
     Raises RecordError if there are none.
     """
-    held = np.any([c.is_fixed[0] for c in calibrations], axis=0)
-    if held.all():
+    is_fixed = np.any([c.is_fixed[0] for c in calibrations], axis=0)
+    if is_fixed.all():
         raise RecordError("no parameter is estimated in all calibrations; calibrate all with the same parameters")
-    return tuple(c.for_instrument(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
+    return tuple(c.for_instrument(0, np.flatnonzero(~is_fixed)) if is_fixed.any() else c for c in calibrations)
 
 
 def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
     """Chi-square test of a vector (m,) over the combinations that its covariance (m, m) determines."""
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
-    resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
-    z = (vectors[:, resolved].T @ difference) / np.sqrt(values[resolved])
-    return ChiSquareEntry.from_statistic(float(z @ z), int(resolved.sum()))
+    is_resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
+    z = (vectors[:, is_resolved].T @ difference) / np.sqrt(values[is_resolved])
+    return ChiSquareEntry.from_statistic(float(z @ z), int(is_resolved.sum()))
 
 
 def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:

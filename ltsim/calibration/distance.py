@@ -40,6 +40,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
+"""Norm of the objective of each distance method: sum of squares, or sum of absolute values."""
 
 
 def calibrate_distance(
@@ -67,15 +68,15 @@ def calibrate_distance(
     problem, norm, notes = DistanceProblem(usable, built, prior), DISTANCE_METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
         estimate = solve_equation_9(
-            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start=start, fixed_mask=held.ravel()
+            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start_values=start, fixed_mask=held.ravel()
         )
     else:
-        estimate = solve_distances(problem, norm, start=start, fixed_mask=held.ravel())
+        estimate = solve_distances(problem, norm, start_values=start, fixed_mask=held.ravel())
         notes = compare_with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
-    applied = values[0] if len(values) == 1 else values[recording.instrument]
-    corrected = recording.with_readings(corrected_readings(recording, built, applied))
-    adjustment = adjust(corrected)
+    applied_values = values[0] if len(values) == 1 else values[recording.instrument]
+    corrected_recording = recording.with_readings(corrected_readings(recording, built, applied_values))
+    adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
     propagation = ErrorPropagation(recording, built, values, estimate, adjustment)
     added = propagation.added_covariance()
@@ -118,15 +119,15 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
     """Fit of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
     mean, variance = propagation.chi2_moments()
-    expected = round(mean)
-    redundant = propagation.adjustment.dof > 0 and expected > 0
+    expected_chi2 = round(mean)
+    redundant = propagation.adjustment.dof > 0 and expected_chi2 > 0
     status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.has_converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
     return FitEntry(
         chi2=chi2,
-        dof=expected,
-        sigma0=float(np.sqrt(chi2 / expected)) if redundant else None,
+        dof=expected_chi2,
+        sigma0=float(np.sqrt(chi2 / expected_chi2)) if redundant else None,
         p_value=propagation.chi2_tail(chi2) if redundant else None,
         iterations=estimate.n_iterations,
         status=status[0],
@@ -220,10 +221,10 @@ class ErrorPropagation:
             self._project_on_residuals(self._parameter_design),
             self._project_on_residuals(self._noise_parameter_covariance),
         )
-        both = np.concatenate([systematic, noise], axis=1)
+        stacked = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
         mixed = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (
-            both.T @ both
+            stacked.T @ stacked
         )
         free = float(self.adjustment.dof)
         return free + float(np.trace(mixed)), 2 * (free + 2 * float(np.trace(mixed)) + float(np.sum(mixed * mixed.T)))

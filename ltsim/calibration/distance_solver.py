@@ -110,18 +110,22 @@ def _append_gauge_rows(
 
 
 def solve_distances(
-    problem: DistanceProblem, norm: ObjectiveNorm, *, start: Floats | None = None, fixed_mask: Bools | None = None
+    problem: DistanceProblem,
+    norm: ObjectiveNorm,
+    *,
+    start_values: Floats | None = None,
+    fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
     """Minimum of eq. 9 over the combinations that the readings determine.
 
-    The iteration starts at zero or at `start` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
+    The iteration starts at zero or at `start_values` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
 
     Raises
     ------
     NetworkError
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
-    unknowns, free = _start_values(problem, start, fixed_mask)
+    unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
     _require_compared_distances(rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(rows, free)
@@ -140,7 +144,7 @@ def solve_equation_9(
     norm: ObjectiveNorm,
     *,
     bound_in_prior_sigmas: float | None = None,
-    start: Floats | None = None,
+    start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
     """Minimum of eq. 9 with every unknown within `bound_in_prior_sigmas` prior sigmas.
@@ -154,7 +158,7 @@ def solve_equation_9(
     """
     if bound_in_prior_sigmas is not None and not bound_in_prior_sigmas > 0:
         raise ModelError(f"the box is {bound_in_prior_sigmas}, expected a positive number of prior sigmas")
-    unknowns, free = _start_values(problem, start, fixed_mask)
+    unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
     _require_compared_distances(rows, free)
     while iterations < MAX_EQUATION_9_STEPS and not moved < EQUATION_9_TOLERANCE:
@@ -168,10 +172,12 @@ def solve_equation_9(
     return _make_estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < EQUATION_9_TOLERANCE)
 
 
-def _start_values(problem: DistanceProblem, start: Floats | None, fixed_mask: Bools | None) -> tuple[Floats, Bools]:
+def _start_values(
+    problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
+) -> tuple[Floats, Bools]:
     """Start values (q,) of the unknowns, and flags of the free ones."""
     size = problem.prior_sigma.size
-    unknowns: Floats = np.zeros(size) if start is None else start.copy()
+    unknowns: Floats = np.zeros(size) if start_values is None else start_values.copy()
     return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
@@ -184,15 +190,21 @@ def _make_estimate(
     rows: ComparedDistances,
     norm: ObjectiveNorm,
     solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
-    iterations: int,
-    converged: bool,
+    n_iterations: int,
+    is_converged: bool,
 ) -> DistanceEstimate:
     """Estimates from the unknowns, with the estimated combinations (q, k) and the excluded ones."""
     unknowns, estimated, undetermined = solution
     covariance, noise = estimate_covariance(rows, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
     return DistanceEstimate(
-        unknowns, covariance + prior.T @ prior, noise, undetermined, objective_of(rows, norm), iterations, converged
+        unknowns,
+        covariance + prior.T @ prior,
+        noise,
+        undetermined,
+        objective_of(rows, norm),
+        n_iterations,
+        is_converged,
     )
 
 
@@ -309,9 +321,9 @@ def estimate_covariance(
         return noise @ noise.T, noise
     spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
-    scaled = design / spread[:, None]
-    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled)
-    carried = np.asarray((rows.noise_derivatives.T @ scaled).T) * np.sqrt(2 / np.pi)
+    scaled_design = design / spread[:, None]
+    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
+    carried = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
@@ -322,7 +334,7 @@ def compare_with_minimum(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
     """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
-    least = solve_equation_9(problem, norm, start=estimate.unknowns, fixed_mask=fixed_mask).objective_value
+    least = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     count = len(estimate.undetermined_combinations)

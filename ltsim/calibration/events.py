@@ -87,12 +87,12 @@ def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
 def _relative_step_durations(history: CalibrationSeries) -> Floats:
     """Days of each step divided by their median; ones if the days are unknown."""
     between = np.diff(history.days) if history.days is not None else np.zeros(0)
-    middle = float(np.median(between)) if len(between) else 0.0
-    return between / middle if middle > 0 else np.ones(len(history) - 1)
+    median = float(np.median(between)) if len(between) else 0.0
+    return between / median if median > 0 else np.ones(len(history) - 1)
 
 
 def _significant_steps_of(
-    difference: Floats, sigma: Floats, relative_durations: Floats, level: float
+    difference: Floats, sigma: Floats, relative_durations: Floats, alpha: float
 ) -> list[tuple[int, float, float]]:
     """Steps (K - 1,) of one parameter between calibrations that are significant: index, usual size, p-value."""
     usual: Bools = np.ones(len(difference), dtype=bool)
@@ -102,7 +102,7 @@ def _significant_steps_of(
         judged = [_step_p_value(difference, sigma, relative_durations, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))
         p, spread = judged[best]
-        if p >= level:
+        if p >= alpha:
             break
         usual[steps[best]] = False
         significant.append((int(steps[best]), spread, p))
@@ -110,7 +110,7 @@ def _significant_steps_of(
 
 
 def _step_p_value(
-    difference: Floats, sigma: Floats, relative_durations: Floats, step: int, others: Ints
+    difference: Floats, sigma: Floats, relative_durations: Floats, step_index: int, other_steps: Ints
 ) -> tuple[float, float]:
     """Two-sided p-value of a step relative to the spread of the others, and the usual size of a step."""
     likelihood, chance, usual = (
@@ -120,12 +120,14 @@ def _step_p_value(
     )
     for n, share in enumerate(TIME_GROWTH_FRACTIONS):
         shape = 1.0 - share + share * relative_durations
-        scale = _moment_variance(difference[others], sigma[others], shape[others])
+        scale = _moment_variance(difference[other_steps], sigma[other_steps], shape[other_steps])
         variance = sigma**2 + scale * shape
-        gap = difference[others] ** 2 / variance[others] + np.log(variance[others] / sigma[others] ** 2)
+        gap = difference[other_steps] ** 2 / variance[other_steps] + np.log(
+            variance[other_steps] / sigma[other_steps] ** 2
+        )
         likelihood[n] = -0.5 * float(np.sum(gap))
-        chance[n] = 2.0 * special.stdtr(len(others), -abs(difference[step]) / np.sqrt(variance[step]))
-        usual[n] = scale * shape[step]
+        chance[n] = 2.0 * special.stdtr(len(other_steps), -abs(difference[step_index]) / np.sqrt(variance[step_index]))
+        usual[n] = scale * shape[step_index]
     weight = np.exp(likelihood - likelihood.max())
     weight /= weight.sum()
     return float(weight @ chance), float(np.sqrt(weight @ usual))

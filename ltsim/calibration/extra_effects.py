@@ -73,7 +73,7 @@ class RequestedEffect:
 
 
 def fit_with_extra_effects(
-    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     unreported_effects: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
@@ -81,7 +81,7 @@ def fit_with_extra_effects(
 
     `unreported_effects` effects are estimated first and are not reported.
     """
-    adjustment, fits = adjusted(unreported_effects), list[FittedEffectEntry]()
+    adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
     for wanted in extra_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
@@ -91,7 +91,7 @@ def fit_with_extra_effects(
         freedom, before = space.chi2_drop(space.whitened_signature(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
-            adjustment, fit = _refit_with_best_constants(adjusted, [*fit.effects, best], fixed)
+            adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
         place = "" if isinstance(estimated, EmpiricalLaw) and estimated.is_per_setup else estimated.place_text
         drop = max(before - adjustment.chi2, 0.0)
@@ -115,15 +115,15 @@ def fit_with_extra_effects(
 
 
 def _refit_with_best_constants(
-    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects at their best constants, and the refit with its readings and weights."""
     for _ in range(MAX_REFIT_PASSES):
-        adjustment = adjusted(effects)
+        adjustment = adjust_with(effects)
         near = adjustment.with_effects
-        fit = refit_with_effects(near, effects, start=adjustment.state, fixed=fixed_fields)
+        fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_constants=fixed_fields)
         if fit.effects == tuple(effects):
             break
         effects = fit.effects
@@ -169,8 +169,8 @@ def _effect_entries(
     return (*numbers[:count], *words, *given, *numbers[count:])
 
 
-def _parameter_entry(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
+def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
     """A number in its unit."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
-    return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)
+    return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)

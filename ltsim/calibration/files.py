@@ -104,5 +104,5 @@ def _missing_parameters_warning(names: list[str], file: Path) -> tuple[str, ...]
     """Warning about parameters that a file lacks; empty if there are none."""
     if not names:
         return ()
-    which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
-    return (f"{file}: {which} not in the file and taken as zero: {listing(names)}",)
+    phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
+    return (f"{file}: {phrase} not in the file and taken as zero: {listing(names)}",)

@@ -175,8 +175,8 @@ def adjust(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), chosen, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
-    how = {"robust": robust, "tests": tests, "with_constants": constants}
-    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **how))
+    options = {"robust": robust, "tests": tests, "with_constants": constants}
+    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **options))
 
 
 def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
@@ -252,10 +252,12 @@ def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any
 ) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
-    at = adjustment.problem.unknowns.instrument_columns.ravel()
-    held = adjustment.problem.prior.is_fixed
-    free = ~held.ravel()
-    covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
+    columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
+    is_fixed = adjustment.problem.prior.is_fixed
+    is_free = ~is_fixed.ravel()
+    covariance = np.where(
+        is_free[:, None] & is_free, adjustment.reduced_covariance[columns_of_free[:, None], columns_of_free], 0.0
+    )
     prior = adjustment.problem.prior.sigma
     values, directions = adjustment.state.instrument_parameters, result.undetermined_directions(covariance, prior)
     arrays = CalibrationArrays(
@@ -264,7 +266,7 @@ def _make_calibration(
         estimates=values,
         prior_sigma=prior,
         covariance=covariance,
-        is_fixed=held,
+        is_fixed=is_fixed,
         target_names=recording.targets,
         target_points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance,

@@ -78,14 +78,14 @@ def recommend_correction(
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
-    free = np.flatnonzero(~held)
+    free_indices = np.flatnonzero(~held)
     gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
-    used = np.setdiff1d(free, gone)
-    root = block_diag(*prior.whitening_matrices)[np.ix_(free, free)]
-    at = adjustment.problem.unknowns.instrument_columns.ravel()[free]
-    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(at, at)] @ root.T)
-    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free]
-    within = np.searchsorted(free, used)
+    used = np.setdiff1d(free_indices, gone)
+    root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
+    columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
+    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
+    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free_indices]
+    within = np.searchsorted(free_indices, used)
     unit = prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
     information = (precision[np.ix_(within, within)] - np.eye(len(used))) / (factor * unit) ** 2
@@ -161,10 +161,10 @@ class ScaledPrior:
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
         """Smallest and largest plausible scale."""
-        near = np.flatnonzero(
+        near_indices = np.flatnonzero(
             self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE
         )
-        return float(self._scales[near[0]]), float(self._scales[near[-1]])
+        return float(self._scales[near_indices[0]]), float(self._scales[near_indices[-1]])
 
     @property
     def rejects_declared_scale(self) -> bool:
@@ -206,12 +206,12 @@ class ScaledPrior:
         if not self._is_free:
             return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        applied = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
-        return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
+        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
+        return f"without a prior, parameters of the usual proportions and {likely}; {phrase}, the others hardly"
 
-    def estimate(self, scale: float) -> Floats:
+    def estimate(self, prior_scale: float) -> Floats:
         """Estimate (q,) under a scale."""
-        return self._basis @ (self._information_vector / (self._strength + scale**-2))
+        return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
         """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
@@ -234,14 +234,14 @@ class ScaledPrior:
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def point_errors(
-        self, point_error_form: Floats, applied: Floats, prior_mean: Floats | float = 0.0
+        self, point_error_form: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
         scale = self.scale_of_applied_values
         mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         rest = float(np.sum(spread * point_error_form))
-        missed = mean - applied
+        missed = mean - applied_values
         return float(np.sqrt(mean @ point_error_form @ mean + rest)), float(
             np.sqrt(missed @ point_error_form @ missed + rest)
         )
@@ -249,10 +249,10 @@ class ScaledPrior:
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
-    whole = recording.is_measured.all(axis=1)
-    if not whole.any():
+    is_complete = recording.is_measured.all(axis=1)
+    if not is_complete.any():
         return 0.0
-    (range_, _, elevation), (along, aside, above) = recording.readings[whole].T, sigma[whole].T
+    (range_, _, elevation), (along, aside, above) = recording.readings[is_complete].T, sigma[is_complete].T
     across = range_ * np.cos(elevation) * aside
     return float(np.sqrt(np.mean(along**2 + across**2 + (range_ * above) ** 2)))
 
@@ -266,9 +266,9 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
-    whole = recording.is_measured.all(axis=1)
+    is_complete = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
-        rows = np.flatnonzero(whole & (recording.station == number))
+        rows = np.flatnonzero(is_complete & (recording.station == number))
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
@@ -277,7 +277,7 @@ def point_error_form(adjustment: Adjustment) -> Floats:
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
-    return total / max(int(whole.sum()), 1)
+    return total / max(int(is_complete.sum()), 1)
 
 
 @dataclass(frozen=True)
@@ -299,16 +299,16 @@ class HeldOutTarget:
     estimate_shift: Floats
     """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
 
-    def sum_of_squares(self, values: Floats, fixed_indices: Ints) -> float:
+    def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
         """Sum of squares with the parameters `fixed_indices` at zero.
 
-        `values` (q,) are the estimates from all readings.
+        `parameters` (q,) are the estimates from all readings.
         """
         if not len(fixed_indices):
             return float(self.held_out_residual @ self.held_out_residual)
         moved = np.linalg.solve(
             self.covariance[np.ix_(fixed_indices, fixed_indices)],
-            self.estimate_shift[fixed_indices] - values[fixed_indices],
+            self.estimate_shift[fixed_indices] - parameters[fixed_indices],
         )
         residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ moved
         return float(residual @ residual)

@@ -31,6 +31,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
 NO_PRIOR_OPTION = "none"
+"""Value of the option `prior` for a calibration without prior information."""
 
 
 def calibrate(

@@ -89,10 +89,10 @@ class GeometryStack(CellTruth):
             np.stack([a[r] for a, r in zip(arrays, self.row_of_pointing.T, strict=True)], axis=-1)
         )
 
-    def array_of_trial(self, stacked: Floats, trial: int) -> Floats:
+    def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
         """Array (n, ...) of one trial from a stacked array (n, ..., B), in the trial's order of pointings."""
-        ordered = np.empty(stacked.shape[:-1])
-        ordered[self.row_of_pointing[:, trial]] = stacked[..., trial]
+        ordered = np.empty(stacked_array.shape[:-1])
+        ordered[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
         return ordered
 
     @cached_property
@@ -115,17 +115,17 @@ class GeometryStack(CellTruth):
 
     def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by its parameters."""
-        flat = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
-        by_value = built.reading_design(flat, np.zeros(built.n_parameters))[1]
+        flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
+        by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.from_construction(built, flat).split_trials(len(self.truths)), np.ascontiguousarray(
+        return ChainProgram.from_construction(built, flattened).split_trials(len(self.truths)), np.ascontiguousarray(
             by_trial
         )
 
-    def _exact_deviations(self, values: Floats) -> Floats:
+    def _exact_deviations(self, true_parameters: Floats) -> Floats:
         which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
-        deviation = np.einsum("nckb,nkb->ncb", by_value, values[which])
-        compute_readings(program, which, self.local_points, self.reading_derivatives, values, deviation)
+        deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
+        compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
     def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
@@ -187,13 +187,13 @@ class StackCalibrator(TrialCalibrator):
         """Calibrator of a single trial."""
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
+    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, len(block.single_trials)
         )
         together = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(block, calibrated) if together else wanted
+        remaining = self._calibrate_batch(block, calibrated) if together else trial_numbers
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
@@ -204,8 +204,8 @@ class StackCalibrator(TrialCalibrator):
             calibrated.copy_trial(trial, single, 0)
         return calibrated
 
-    def _calibrate_batch(self, block: TrialBatch, calibrated: CalibratedBlock) -> Ints:
-        """Trials that the batch did not calibrate; results of the others are stored in `calibrated`."""
+    def _calibrate_batch(self, block: TrialBatch, results: CalibratedBlock) -> Ints:
+        """Trials that the batch did not calibrate; results of the others are stored in `results`."""
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
         parts: list[BatchNetwork] = []
@@ -236,20 +236,20 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
-        for trial in np.flatnonzero(~doubtful):
-            calibrated.copy_trial(int(trial), together, int(trial))
-        return np.flatnonzero(doubtful)
+        is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
+        for trial in np.flatnonzero(~is_doubtful):
+            results.copy_trial(int(trial), together, int(trial))
+        return np.flatnonzero(is_doubtful)
 
-    def largest_difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBlock) -> float:
+    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Difference between a trial and the full solver, as in `TrialCalibrator`."""
         selected = slice(trial, trial + 1)
         arrays = (
-            calibrated.instrument_values[..., selected],
-            calibrated.instrument_sigmas[..., trial],
-            calibrated.target_errors[..., selected],
+            results.instrument_values[..., selected],
+            results.instrument_sigmas[..., trial],
+            results.target_errors[..., selected],
         )
-        single = CalibratedBlock(*arrays, calibrated.chi2[selected], calibrated.status_indices[selected])
+        single = CalibratedBlock(*arrays, results.chi2[selected], results.status_indices[selected])
         return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single)
 
 
@@ -297,9 +297,9 @@ class StackedNetwork(BatchNetwork):
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         count = 3 * len(self.recording)
-        flat = [part._extra_design.reshape(count, -1) for part in self.networks]
-        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flat], axis=0))
-        design = np.stack([design[rows] for design in flat])
+        flattened = [part._extra_design.reshape(count, -1) for part in self.networks]
+        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
+        design = np.stack([design[rows] for design in flattened])
         sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])
         return rows, design, design / sigma[:, :, None]
 

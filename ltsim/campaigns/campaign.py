@@ -66,7 +66,7 @@ class WorkerSettings:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.n_processes, required="jobs")
+        check_bounds(jobs=self.n_processes, required_argument="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
@@ -106,7 +106,7 @@ def run_campaign(
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, unchanged=not changes and tables is None)
+    sources = _input_files(campaign, cells, file, is_existing=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
@@ -142,7 +142,7 @@ def run_campaign(
 
 
 def _input_files(
-    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, unchanged: bool
+    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, is_existing: bool
 ) -> dict[str, bytes]:
     """Input files of the campaign, stored with its rows: scenarios, points, CAD files, the campaign file."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
@@ -154,7 +154,7 @@ def _input_files(
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: file.read_bytes() if unchanged else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE: file.read_bytes() if is_existing else to_toml(settings).encode()}
 
 
 def _configuration_notes(
@@ -298,12 +298,12 @@ def _pending_shards(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
-    wanted: list[ShardKey],
+    shard_keys: list[ShardKey],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
     waiting, notes, digests = [], [], store.digests()
-    for cell, shard in wanted:
+    for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
         )
@@ -339,7 +339,7 @@ def _iterate_results(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in given), jobs, ordered=False)
+        yield from run_parallel(run_task, ((task,) for task in given), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)

@@ -116,10 +116,12 @@ class BatchDistance(BatchCalibrator):
         visible, share = set_membership(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
         values, moved = (
-            self._least_squares_values(block) if self.method == "distance" else self._values_by_trial(block, wanted)
+            self._least_squares_values(block)
+            if self.method == "distance"
+            else self._values_by_trial(block, trial_numbers)
         )
         fit = self._adjusted_targets(block, values)
         spread = (
@@ -154,12 +156,13 @@ class BatchDistance(BatchCalibrator):
                 break
         return values, moved
 
-    def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
+    def _values_by_trial(self, block: TrialBatch, trial_mask: Ints) -> tuple[Floats, Floats]:
         """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial] for trial in wanted.tolist()
+            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial]
+            for trial in trial_mask.tolist()
         }
         determined = {
             trial: self._estimated_combinations
@@ -168,7 +171,7 @@ class BatchDistance(BatchCalibrator):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
-            active = wanted[moved[wanted] >= CONVERGED_CHANGE]
+            active = trial_mask[moved[trial_mask] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -176,7 +179,9 @@ class BatchDistance(BatchCalibrator):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
                 design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ determined[trial])
                 if self.uses_absolute_deviations:  # every step but the first is short
-                    step = solve_least_absolute(design, -gap, start=np.zeros(design.shape[1]) if iteration else None)
+                    step = solve_least_absolute(
+                        design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
+                    )
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
                 unknowns[:, trial] += determined[trial] @ step
@@ -211,12 +216,16 @@ class BatchDistance(BatchCalibrator):
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         flat = np.hypot(x, y)
-        back = (self.truth.recording.face == 2)[:, None]
+        is_back_face = (self.truth.recording.face == 2)[:, None]
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
-        raw = np.stack(
-            [np.hypot(flat, z), azimuth + np.where(back, np.pi, 0.0), np.where(back, np.pi - elevation, elevation)],
+        raw_readings = np.stack(
+            [
+                np.hypot(flat, z),
+                azimuth + np.where(is_back_face, np.pi, 0.0),
+                np.where(is_back_face, np.pi - elevation, elevation),
+            ],
             axis=1,
         )
-        corrected = raw - self.truth.recording.readings[:, :, None]
-        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
-        return self.batch_network.fit_trials(corrected, block.length_errors)
+        corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
+        corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
+        return self.batch_network.fit_trials(corrected_readings, block.length_errors)

@@ -171,16 +171,16 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    where = finding.where
-    return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
+    scope = finding.where
+    return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if stations and targets agree, or the observables for an effect without a place."""
-    where = finding.where
-    pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
+    scope = finding.where
+    pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
-    reported = set(where.observables) or set(cause.observables)
+    reported = set(scope.observables) or set(cause.observables)
     return overlaps and bool(reported & set(cause.observables))
 
 

@@ -139,17 +139,17 @@ class BatchNetwork:
         )
         return to_dense(system.design), system.whitened_residuals
 
-    def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
+    def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
         They equal those of `MeasurementModel.linearise`.
         """
         recording, state = self.recording, self.state
-        by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(
-            recording.readings, by_pose, by_target, shared.value_derivatives, np.zeros((len(recording), 3, 0))
+            recording.readings, by_pose, by_target, quantities.value_derivatives, np.zeros((len(recording), 3, 0))
         )
 
     @cached_property
@@ -307,9 +307,9 @@ class BatchNetwork:
 
         If states have a last index for the trial, designs have it first.
         """
-        flat = self._extra_design.reshape(self.reading_sigmas.size, -1)
-        rows = np.flatnonzero(flat.any(axis=1))
-        return rows, flat[rows], flat[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
+        flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
+        rows = np.flatnonzero(flattened.any(axis=1))
+        return rows, flattened[rows], flattened[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:

@@ -122,15 +122,15 @@ def run_trials(
     """
     made = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
     work = ((made, seed, index, settings) for index in range(trials))
-    yield from run_parallel(run_trial, work, min(jobs, trials), batch=4)
+    yield from run_parallel(run_trial, work, min(jobs, trials), calls_per_batch=4)
 
 
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
     drawn = {"errors": {"draw": True}, "error_factor": 1.0}
-    named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
+    by_name = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": named}
+        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": by_name}
     )
 
 
@@ -265,16 +265,16 @@ class RecoveryTrials(ValueEquality):
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
-        lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", lost, 0, 0)]
+        n_lost = len(self.trials) - len(self.trials_with_result)
+        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
-        chosen = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
-        level = FALSE_ALARM_RATE / (4 * len(chosen) + 3)
-        checks += [check for k in chosen for check in self._parameter_checks(k, level)]
+        indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
+        level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
+        checks += [check for k in indices for check in self._parameter_checks(k, level)]
         return checks if self.tolerance else checks + self._network_checks(level)
 
-    def _parameter_checks(self, parameter_index: int, level: float) -> list[RecoveryCheck]:
+    def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:
         """Checks of a parameter; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
@@ -283,9 +283,9 @@ class RecoveryTrials(ValueEquality):
         )
         foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
-            checks += parameter_checks(name, standard, level)
+            checks += parameter_checks(name, standard, alpha)
         if self.errors == "stated" and np.all(np.isfinite(z)):
-            mean, spread, coverage = fixed_truth_checks(name, z, level)
+            mean, spread, coverage = fixed_truth_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
             checks.append(coverage)
         if self.tolerance:
@@ -297,14 +297,14 @@ class RecoveryTrials(ValueEquality):
             checks.append(tolerance_check(name, error, given.max_error, given.text))
         return checks
 
-    def _network_checks(self, level: float) -> list[RecoveryCheck]:
+    def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
         parts, checks = [trial.network_score for trial in self.trials_with_result], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_deviation")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
-            checks.append(chi_square_check(chi2, expected, spread, level))
+            checks.append(chi_square_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(mean_check(what, "mean squared error over variance", squares, level))
+                checks.append(mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

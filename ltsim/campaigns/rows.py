@@ -127,7 +127,7 @@ class CellContext:
         return planned_layout(self.scenario)
 
     def trial_blocks(
-        self, first: int, last: int
+        self, first_trial: int, end_trial: int
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
         """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
 
@@ -136,12 +136,12 @@ class CellContext:
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             judge, calibrators = self.common_geometry
-            for number in range(first // TRIALS_PER_STREAM, -(-last // TRIALS_PER_STREAM)):
+            for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
                 yield judge, calibrators, judge.truth.draw_block(seed, number)
             return
-        for low in range(first, last, MAX_TRIALS_PER_STACK):
+        for low in range(first_trial, end_trial, MAX_TRIALS_PER_STACK):
             for stack, numbers in stack_geometries(
-                self._trial_geometries(range(low, min(low + MAX_TRIALS_PER_STACK, last)))
+                self._trial_geometries(range(low, min(low + MAX_TRIALS_PER_STACK, end_trial)))
             ):
                 yield (
                     TrialEvaluator(stack),
@@ -203,28 +203,28 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
     start = task.shard * campaign.shard
     first, last = start + n_existing, min(start + campaign.shard, campaign.trials)
     parts: list[list[ResultColumns]] = [[] for _ in campaign.methods]
-    missing = set(range(first, last))
+    missing_numbers = set(range(first, last))
     for judge, calibrators, block in cell.trial_blocks(first, last):
         numbers = block.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
-        missing -= set(numbers[wanted].tolist())
+        missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < start + campaign.verify]
         work = TrialBlock(campaign, judge, block, cell.validation_geometry, wanted, checked, truth_only)
         for part, calibrator in zip(parts, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
-    if missing:
-        empty = np.full(len(missing), np.nan)
+    if missing_numbers:
+        empty = np.full(len(missing_numbers), np.nan)
         failed = {
-            "status": np.full(len(missing), TRIAL_STATUSES.index(WITHOUT_RESULT)),
+            "status": np.full(len(missing_numbers), TRIAL_STATUSES.index(WITHOUT_RESULT)),
             "chi2": empty,
             DIFFERENCE_COLUMN: empty,
         }
         for part in parts:
-            part.append({"trial": np.array(sorted(missing))} | failed)
+            part.append({"trial": np.array(sorted(missing_numbers))} | failed)
     tables = [method_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
-    whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
-    return append_settings(whole, cell.factors, cell.levels, cell.units)
+    full_table = pa.concat_tables(tables, promote_options="default").combine_chunks()
+    return append_settings(full_table, cell.factors, cell.levels, cell.units)
 
 
 @dataclass(frozen=True)
@@ -304,15 +304,15 @@ class TrialBlock:
             columns |= parameter_columns(true_labels, true, "true")
         return columns
 
-    def _validation_columns(self, calibrated: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
+    def _validation_columns(self, calibrated_block: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
         if self.validation_block is None:
             return {}
         there, block, before = self.validation_block
         nowhere = np.full(
-            (*there.truth.state.target_points.shape, len(calibrated.chi2)), np.nan
+            (*there.truth.state.target_points.shape, len(calibrated_block.chi2)), np.nan
         )  # no target is adjusted there
         after = there.method_columns(
-            block, replace(calibrated, target_errors=nowhere), calibrator.construction, calibrator.effects
+            block, replace(calibrated_block, target_errors=nowhere), calibrator.construction, calibrator.effects
         )
         return {f"new_point_{name}": values for name, values in (before | after).items() if name.startswith("error_")}
 

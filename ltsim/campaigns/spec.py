@@ -234,12 +234,12 @@ def load_campaign(
         for key, value in campaign.values_by_key(campaign.settings).items()
     }
     units = change_scenario(base, common, path)  # with the effects that the settings add
-    made = []
+    items = []
     for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
         inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
-        made.append(change_scenario(base, inside, path, where))
-    return campaign, tuple(made)
+        items.append(change_scenario(base, inside, path, where))
+    return campaign, tuple(items)
 
 
 def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: Path) -> CampaignFile:

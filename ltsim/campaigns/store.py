@@ -81,10 +81,10 @@ class CampaignFolder:
         """Path of a shard's file."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    def shards(self, below: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order; only those with numbers `below` a limit."""
+    def shards(self, max_shards: int | None = None) -> list[Path]:
+        """Paths of the finished shards in order; only those with numbers `max_shards` a limit."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
-        return [path for path in paths if below is None or path.name < self.shard_path(0, below).name]
+        return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
         """Rows of a finished shard; raises SetupError for a damaged one."""
@@ -136,13 +136,13 @@ class CampaignFolder:
         """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, durable=True)
+            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
-            write_files(self.folder, {name: content}, durable=True)
+            write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
@@ -157,9 +157,9 @@ class CampaignFolder:
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
-        others = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
+        remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
-        return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
+        return remaining + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
     def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
@@ -208,7 +208,7 @@ class CampaignFolder:
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
             file = self.folder / DIGESTS_FILE
             if file.exists() and file.read_bytes() != lines:
-                write_files(self.folder, {DIGESTS_FILE: lines}, durable=True)
+                write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:

@@ -62,9 +62,11 @@ class TrialEvaluator:
         """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
         return self._determines_frame(self.is_measured)
 
-    def _determines_frame(self, use: Bools) -> Bools:
+    def _determines_frame(self, used_targets: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_UNDETERMINED_ROTATION_RATIO)
+        return determines_pose(
+            self._true_targets(1)[:, :, 0], used_targets, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+        )
 
     def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
@@ -95,11 +97,11 @@ class TrialEvaluator:
         }
         mean, largest, coordinate_mean, coordinate_largest = columns.values()
         distance_criterion(clouds, self.is_measured, mean, largest)
-        placed = np.empty_like(clouds)
-        placed[0] = clouds[0]
-        for s in range(1, len(placed)):
-            align_rigidly(clouds[s], clouds[0], self.is_measured[s] & self.is_measured[0], placed[s])
-        coordinate_criterion(placed, self.is_measured, coordinate_mean, coordinate_largest)
+        placed_points = np.empty_like(clouds)
+        placed_points[0] = clouds[0]
+        for s in range(1, len(placed_points)):
+            align_rigidly(clouds[s], clouds[0], self.is_measured[s] & self.is_measured[0], placed_points[s])
+        coordinate_criterion(placed_points, self.is_measured, coordinate_mean, coordinate_largest)
         return columns
 
     def _true_targets(self, trials: int) -> Floats:
@@ -125,12 +127,12 @@ class TrialEvaluator:
 
         Undetermined targets (NaN) are omitted.
         """
-        determined = np.isfinite(points).all(axis=1)
+        is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        patterns = np.ones((1, len(points)), dtype=bool) if determined.all() else np.unique(determined, axis=1).T
+        patterns = np.ones((1, len(points)), dtype=bool) if is_determined.all() else np.unique(is_determined, axis=1).T
         for pattern, fixed in zip(patterns, self._determines_frame(patterns), strict=True):
             if fixed:
-                trials = np.flatnonzero(np.all(determined == pattern[:, None], axis=0))
+                trials = np.flatnonzero(np.all(is_determined == pattern[:, None], axis=0))
                 truth = np.ascontiguousarray(self._true_targets(len(error))[:, :, trials])
                 moved, total = np.empty_like(truth), np.zeros(len(trials))
                 align_rigidly(truth + points[:, :, trials], truth, pattern, moved)

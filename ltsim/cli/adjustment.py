@@ -95,7 +95,7 @@ def correct(
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.read(source), read_calibration(calibration)
-    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
+    corrected_recording = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
     terminal.print_notes((*recording.notes, *instrument.warnings))
     if not instrument.instrument_parameter_names:
         terminal.print_notes(["this calibration contains no instrument parameters; the readings do not change"])
@@ -104,17 +104,17 @@ def correct(
         terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)
-    lt.write(corrected, out)
-    change = corrected.readings - recording.readings
+    lt.write(corrected_recording, out)
+    change = corrected_recording.readings - recording.readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
     terminal.print_json({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
     distance, azimuth, elevation = largest
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
-    applied = f"{len(recording)} pointings corrected by {sizes}"
+    phrase = f"{len(recording)} pointings corrected by {sizes}"
     terminal.print_text(
-        applied
+        phrase
         if np.any(largest >= MIN_REPORTED_READING_CHANGE)
         else "no correction was applied: the readings do not change"
     )

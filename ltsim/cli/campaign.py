@@ -95,8 +95,8 @@ def campaign(
     for note in outcome.notes:
         terminal.print_note(note)
     terminal.print_json(summary)
-    again = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
-    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{again}\n")
+    suffix = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
+    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{suffix}\n")
     if not terminal.is_silent:
         terminal.print_text(campaign_section(folder).terminal_text())
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")

@@ -90,10 +90,10 @@ def mpe_of(text: str | None) -> tuple[float, float] | None:
     """Limit `A,B` in um and um/m as numbers; raises RecordError unless A > 0 and B >= 0. None if not given."""
     if text is None:
         return None
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
+    pieces = [part.strip() for part in text.split(",")]
+    if len(pieces) != 2 or not all(is_number(part) and float(part) >= 0 for part in pieces) or not float(pieces[0]) > 0:
         raise RecordError(f"--mpe is {text}, expected A,B in um and um/m, for instance 20,6")
-    return float(parts[0]), float(parts[1])
+    return float(pieces[0]), float(pieces[1])
 
 
 def wait_for_changes(source: Path) -> Iterator[None]:

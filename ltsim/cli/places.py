@@ -84,11 +84,11 @@ def check_overwrite(
     """
     if folder is None:
         return
-    taken = _existing_file_names(folder, (model.FILE, *names))
+    existing_names = _existing_file_names(folder, (model.FILE, *names))
     if force:
         return
-    if taken and not _is_replaceable(folder, model, taken, is_of_same_command):
-        _raise_occupied_folder(folder, taken)
+    if existing_names and not _is_replaceable(folder, model, existing_names, is_of_same_command):
+        _raise_occupied_folder(folder, existing_names)
     _check_no_foreign_files(folder)
 
 
@@ -121,11 +121,11 @@ def check_recording_folder(folder: Path, force: bool) -> None:
     """Check that a recording neither replaces another one nor is written among other files; raises RecordError."""
     from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
-    taken = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
+    existing_names = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
     if force:
         return
-    if taken:
-        _raise_occupied_folder(folder, taken)
+    if existing_names:
+        _raise_occupied_folder(folder, existing_names)
     _check_no_foreign_files(folder)
 
 

@@ -71,16 +71,16 @@ class SignatureGroup:
         step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(vectors, 1)))
         yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
 
-    def weighted_products(self, part: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, members: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
-        rows, count = self.rows[part.start * self.size : part.stop * self.size], vectors.shape[1]
+        rows, count = self.rows[members.start * self.size : members.stop * self.size], vectors.shape[1]
         products = np.empty((rows.shape[0], count))
         for i in range(0, count, N_VECTORS_PER_PART):
             few = slice(i, i + N_VECTORS_PER_PART)
             products[:, few] = rows @ np.multiply(
                 vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
             )
-        return products.reshape(part.stop - part.start, self.size, count)
+        return products.reshape(members.stop - members.start, self.size, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
         """Group for rows of the space multiplied by a `ratio` (m,)."""
@@ -153,13 +153,13 @@ class CatalogueSignatures:
         index = {name: i for i, name in enumerate(names)}
         return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
-    def with_weights_of(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
+    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueSignatures:
         """Signatures with the weights of another adjustment of the same readings.
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
-        ratio = np.ones(after.n_rows, dtype=np.float32)
-        ratio[: int(after.used_readings.sum())] = (before.sigma / after.sigma)[after.used_readings]
+        ratio = np.ones(new_space.n_rows, dtype=np.float32)
+        ratio[: int(new_space.used_readings.sum())] = (old_space.sigma / new_space.sigma)[new_space.used_readings]
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
     def log_evidence_and_trials(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
@@ -213,9 +213,9 @@ class FamilyMeans:
     sums: Floats
 
     @classmethod
-    def without_effects(cls, family: Ints, count: int, trials: int) -> FamilyMeans:
+    def without_effects(cls, family: Ints, n_columns: int, trials: int) -> FamilyMeans:
         """Means of no effect yet."""
-        return cls(family, np.full((count, trials), -np.inf))
+        return cls(family, np.full((n_columns, trials), -np.inf))
 
     def add(self, members: Ints, values: Floats) -> None:
         """Addition of the log evidence (k, trials) of some effects (k,)."""
@@ -250,16 +250,16 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
 def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
     products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
-    flat = rows.reshape(-1, len(places))
-    return SignatureGroup(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
+    flattened = rows.reshape(-1, len(places))
+    return SignatureGroup(size, np.array(members), places, flattened, weight, products, np.zeros_like(products))
 
 
-def _sparse_group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
+def _sparse_group(size: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, each on few of `length` rows."""
-    products = np.stack([row_gram(rows) for _, _, rows in made]).astype(np.float64)
-    indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
-    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))]).astype(np.int32)
-    data = np.concatenate([rows.ravel() for _, _, rows in made])
-    rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
-    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in made])
+    products = np.stack([row_gram(rows) for _, _, rows in signatures]).astype(np.float64)
+    indices = np.concatenate([np.tile(places, size) for _, places, _ in signatures])
+    ends = np.cumsum([0, *(len(places) for _, places, _ in signatures for _ in range(size))]).astype(np.int32)
+    data = np.concatenate([rows.ravel() for _, _, rows in signatures])
+    rows = sp.csr_array((data, indices, ends), (len(signatures) * size, length))
+    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
     return SignatureGroup(size, members, slice(None), rows, weight, products, np.zeros_like(products))

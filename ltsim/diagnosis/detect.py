@@ -42,9 +42,9 @@ class Detection:
         """p-value of the search, corrected for everything that was tried."""
         return self.p_value_of(self.statistic)
 
-    def threshold(self, level: float) -> float:
-        """Value of the statistic that a clean recording exceeds with probability `level`."""
-        return float(np.quantile(self.null_statistics, 1.0 - level))
+    def threshold(self, alpha: float) -> float:
+        """Value of the statistic that a clean recording exceeds with probability `alpha`."""
+        return float(np.quantile(self.null_statistics, 1.0 - alpha))
 
     def p_value_of(self, statistic: float) -> float:
         """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.

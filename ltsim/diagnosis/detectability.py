@@ -142,8 +142,8 @@ def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple
 
 def _comparable_effects(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
     """An effect and its equivalents that shift readings; empty where there is nothing to compare."""
-    others = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
-    return (effect, *others) if others and _shifts_readings(effect) else ()
+    remaining = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
+    return (effect, *remaining) if remaining and _shifts_readings(effect) else ()
 
 
 def _shifts_readings(name: str) -> bool:

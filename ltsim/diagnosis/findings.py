@@ -175,8 +175,8 @@ class ExplainedRecording:
         )[0]
         signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
         done = signature @ mean
-        projected = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
-        where = self._scope(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
+        projected_signature = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
+        scope = self._scope(effect, active_observables(space.used_readings, done[:rows], projected_signature[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
@@ -187,7 +187,7 @@ class ExplainedRecording:
             }
             more["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
             law = law_text(effect, more["driver"])
-            sentence = law_sentence(where, estimates, p_located, law)
+            sentence = law_sentence(scope, estimates, p_located, law)
             more["formula"] = "" if hypothesis.is_catalogued else law
         elif isinstance(effect, Effect):
             other_effects = [e for k, e in enumerate(self.refit.effects) if k != member]
@@ -195,7 +195,7 @@ class ExplainedRecording:
             more["separate_by"] = separating_measurement(self.state.baseline, name, names, other_effects)
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
-            sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
+            sentence = catalogue_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
         more["moves_targets_um"] = moved = target_distortion(space, done)
         touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
         felt = number_text(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
@@ -204,7 +204,7 @@ class ExplainedRecording:
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
-            where=where,
+            where=scope,
             parameters=estimates,
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
@@ -263,11 +263,11 @@ class ExplainedRecording:
 
     def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
-        where = effect_scope(effect, carrying_observables)
+        scope = effect_scope(effect, carrying_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
-            if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
-                return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
-        return where
+            if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
+                return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
+        return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
@@ -288,18 +288,18 @@ class ExplainedRecording:
         variance = np.diag(adjustment.instrument_covariance_of(which))
         wider = 1.0 / np.maximum(1.0 - variance / prior**2, MIN_TESTED_INFORMATION)
         value, sigma = adjustment.state.instrument_parameters[which] * wider, np.sqrt(variance * wider)
-        at = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
+        indices = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
         return tuple(
-            ParameterEstimate.from_si(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True)
+            ParameterEstimate.from_si(p, value[k], sigma[k]) for p, k in zip(effect.parameters, indices, strict=True)
         )
 
     def _instrument_index(self, effect: CandidateEffect) -> int:
         """Index of the instrument whose set-ups an effect is confined to."""
         recording = self.state.recording
-        at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
-        return int(recording.instrument[recording.station == at][0])
+        index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
+        return int(recording.instrument[recording.station == index][0])
 
-    def _estimates_of(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[ParameterEstimate, ...]:
+    def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
         """Sizes of a member, in rows in place of time for a recording without clock."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
@@ -308,7 +308,7 @@ class ExplainedRecording:
         ]
         if isinstance(hypothesis.effect, BASELINE_EFFECT_TYPES):
             return self._constants_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, others, refitted)
+        estimates = self.state.searcher.estimates(hypothesis, other_members, refitted)
         return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
 
 
@@ -317,7 +317,7 @@ def noise_finding(
 ) -> Finding:
     """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
     effect = hypothesis.effect
-    where = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
+    scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
     rows = [ParameterEstimate.from_si(*names) for names in every if np.isfinite(names[2])]
     more, sentence = {}, ""
@@ -339,11 +339,11 @@ def noise_finding(
                 ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
-        sentence = unknown_effect_sentence(where, effect.text + most)
+        sentence = unknown_effect_sentence(scope, effect.text + most)
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
-        where=where,
+        where=scope,
         parameters=tuple(rows),
         evidence=FindingEvidence(
             chi2_drop=hypothesis.chi2_drop,
@@ -351,7 +351,7 @@ def noise_finding(
             p_value=detection.p_value_of(hypothesis.evidence),
             probability=hypothesis.probability,
         ),
-        sentence=sentence or catalogue_sentence(effect.name, where, rows, hypothesis.probability),
+        sentence=sentence or catalogue_sentence(effect.name, scope, rows, hypothesis.probability),
         equivalents=hypothesis.equivalents,
         **_non_empty_entries(more),
     )
@@ -374,14 +374,14 @@ def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sigh
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
-    what = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
+    phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
-    return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
+    return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
 
 
-def _non_empty_entries(more: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Entries with a non-empty value."""
-    return {key: value for key, value in more.items() if value}
+    return {key: value for key, value in entries.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:

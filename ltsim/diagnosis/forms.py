@@ -41,9 +41,9 @@ MAX_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
 
-def min_promising_evidence(best: float) -> float:
+def min_promising_evidence(best_evidence: float) -> float:
     """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
-    return 0.5 * best - 5.0
+    return 0.5 * best_evidence - 5.0
 
 
 def evaluate_forms(
@@ -72,12 +72,12 @@ def evaluate_forms(
     tried = [form for hypothesis in tried for form in _forms_with_ratio(calculator, hypothesis, base_model)]
     top = tried.pop(_index_of_best(tried))
     tried += _forms_at_set_ups(calculator, top, base_model)
-    best = []
+    best_items = []
     for name in {h.name: None for h in tried}:
         same_name = [h for h in tried if h.name == name]
         total = float(log_sum_exp(np.array([h.log_evidence for h in same_name])))
-        best.append(replace(same_name[_index_of_best(same_name)], log_evidence=total))
-    return best
+        best_items.append(replace(same_name[_index_of_best(same_name)], log_evidence=total))
+    return best_items
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
@@ -147,10 +147,10 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
-    made = [
+    hypotheses = [
         Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
     ]
-    confined = [other for hypothesis in made for other in _forms_with_ratio(calculator, hypothesis, base_model)]
+    confined = [other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)]
     evidence = form.log_evidence - form.log_prior
     same = [
         replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior)

@@ -99,8 +99,8 @@ class Model:
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
-        projected = np.hstack(self.projected_signatures)
-        return projected.T @ projected, projected.T @ self.baseline_residual
+        projected_signature = np.hstack(self.projected_signatures)
+        return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
@@ -111,8 +111,12 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        visible = strength > MIN_NUMERICAL_REDUNDANCY
-        return 0.5 * RELATIVE_MODEL_ERROR * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
+        is_visible = strength > MIN_NUMERICAL_REDUNDANCY
+        return (
+            0.5
+            * RELATIVE_MODEL_ERROR
+            * float(np.sum((turn.T @ (unit * score))[is_visible] ** 2 / strength[is_visible]))
+        )
 
     @cached_property
     def score(self) -> float:
@@ -188,27 +192,28 @@ class Ranking:
         """Posterior probability of an unmodelled cause."""
         return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
 
-    def posterior_probability_of(self, chosen: Callable[[Hypothesis], bool]) -> float:
-        """Posterior probability of the `chosen` hypotheses together."""
+    def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
+        """Posterior probability of the `is_counted` hypotheses together."""
         return min(
-            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if chosen(h)), 1.0
+            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)),
+            1.0,
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        named = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
-            named[hypothesis.name] = min(named.get(hypothesis.name, 0.0) + weight, 1.0)
-        return named
+            by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
+        return by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all names together."""
-    named = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
-        if probabilities.get("unknown", 0.0) > sum(named.values())
-        else max(named, key=lambda name: named[name])
+        if probabilities.get("unknown", 0.0) > sum(by_name.values())
+        else max(by_name, key=lambda name: by_name[name])
     )
 
 
@@ -264,8 +269,8 @@ def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
 
 
-def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
     """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
-    if hypothesis.name not in {h.name for h in others}:
+    if hypothesis.name not in {h.name for h in other_members}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

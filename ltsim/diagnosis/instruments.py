@@ -156,7 +156,7 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list
 
 
 def compare_constants(
-    adjustment: Adjustment, expected: ExpectedConstants, min_log_evidence: float
+    adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
 ) -> list[ConstantContradiction]:
     """Constants that differ from their expectation, each with more than `min_log_evidence` given the others.
 
@@ -170,31 +170,33 @@ def compare_constants(
         adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
     surprise, odds = (
-        likelihood.information_vector - likelihood.information @ expected.mean,
-        log_prior_share("constant", len(expected.changes)),
+        likelihood.information_vector - likelihood.information @ expectation.mean,
+        log_prior_share("constant", len(expectation.changes)),
     )
-    ways = np.zeros((len(expected.changes), *unit.shape))
-    for way, change in zip(ways, expected.changes, strict=True):
+    ways = np.zeros((len(expectation.changes), *unit.shape))
+    for way, change in zip(ways, expectation.changes, strict=True):
         way[list(change.instruments), change.constant] = 1.0
     ways = ways.reshape(len(ways), unit.size)
 
-    def logs(others: Collection[int]) -> Floats:
+    def logs(other_changes: Collection[int]) -> Floats:
         """Log evidence (h,) of each change given the others."""
-        given = ways[list(others)]
+        given = ways[list(other_changes)]
         score, weight = score_test(
-            likelihood.information, surprise, expected.covariance + CHANGED_PRIOR_VARIANCE * given.T @ given
+            likelihood.information, surprise, expectation.covariance + CHANGED_PRIOR_VARIANCE * given.T @ given
         )
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
         values = np.full(len(ways), -np.inf)
-        for k in np.flatnonzero((strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(others))):
-            change = expected.changes[k]
+        for k in np.flatnonzero(
+            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(other_changes))
+        ):
+            change = expectation.changes[k]
             values[k] = odds + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
             )
         return values
 
     selected = forward_select(logs, min_log_evidence)
-    score, weight = score_test(likelihood.information, surprise, expected.covariance)
+    score, weight = score_test(likelihood.information, surprise, expectation.covariance)
     every = ways @ weight @ ways.T
     reported: list[int] = []
     for k in sorted((k for k in selected if selected[k][k] > min_log_evidence), key=lambda k: -selected[k][k]):
@@ -206,7 +208,7 @@ def compare_constants(
     changed = [
         np.log(share)
         + log_marginal_likelihood(
-            likelihood, expected.mean, expected.covariance + size**2 * ways[reported].T @ ways[reported]
+            likelihood, expectation.mean, expectation.covariance + size**2 * ways[reported].T @ ways[reported]
         )
         for size, share in SIZE_PRIOR.items()
     ]
@@ -214,11 +216,16 @@ def compare_constants(
     joint = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(every[np.ix_(reported, reported)])
     gap, sigma = covariance @ ways[reported] @ score, np.sqrt(np.diag(covariance))
-    units = [unit[expected.changes[k].instruments[0], expected.changes[k].constant] for k in reported]
+    units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in reported]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
         _contradiction_of_change(
-            adjustment, expected.changes, selected[k], k, joint + odds * len(reported), *map(float, (g * u, s * u, c))
+            adjustment,
+            expectation.changes,
+            selected[k],
+            k,
+            joint + odds * len(reported),
+            *map(float, (g * u, s * u, c)),
         )
         for k, g, s, c, u in zip(reported, gap, sigma, chance, units, strict=True)
     ]
@@ -228,17 +235,14 @@ def _contradiction_of_change(
     adjustment: Adjustment,
     changes: Sequence[ConstantChange],
     logs: Floats,
-    k: int,
-    joint: float,
+    change_index: int,
+    joint_evidence: float,
     gap: float,
     sigma: float,
     chance: float,
 ) -> ConstantContradiction:
-    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives.
-
-    `joint` is the log evidence of all contradictions together.
-    """
-    change, parameters = changes[k], adjustment.construction.parameters
+    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
+    change, parameters = changes[change_index], adjustment.construction.parameters
     rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
     share = normalised_probabilities(logs[rivals])
     return ConstantContradiction(
@@ -246,8 +250,8 @@ def _contradiction_of_change(
         parameter=parameters[change.constant],
         difference=gap,
         sigma=sigma,
-        evidence=float(logs[k]),
-        joint_evidence=joint,
+        evidence=float(logs[change_index]),
+        joint_evidence=joint_evidence,
         p_value=chance,
         against=change.reference_text,
         rivals={
@@ -288,17 +292,19 @@ class HistoryExpectation:
 
     @classmethod
     def from_calibrations(
-        cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction
+        cls, calibrations: EarlierCalibrations, recording: Recording, construction: Construction
     ) -> HistoryExpectation:
         """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
         names = recording.instruments
-        if len(earlier.instruments) < min(len(names), 2):
+        if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(
                 f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
                 "those of all of them"
             )
-        nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
-        return cls(earlier, earlier.replace_nominal_prior(nominal, construction, names), nominal.sigma)
+        nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        return cls(
+            calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
+        )
 
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
         """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""

@@ -121,11 +121,12 @@ class NoiseBank:
 
     @classmethod
     def from_space(
-        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True
+        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseBank:
         """Bank of noise hypotheses on a residual space.
 
-        Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
+        Without `allows_quieter` noise is never less than declared: errors that repeat make the differences of repeats
+        small.
         """
         repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeated))
@@ -139,7 +140,7 @@ class NoiseBank:
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
         amounts = (
-            RecordingNoiseLevel.from_space(space, quieter=quieter),
+            RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *NoiseByGroup.all_of(space),
             *NoiseWindows.from_space(space),
         )
@@ -179,10 +180,10 @@ class NoiseBank:
         share = np.array([self.log_prior_of_family(family) for family in self.families])
         return log_means_by_group(ratio, self.family, len(self.families)) + share[:, None]
 
-    def log_restricted_likelihood_ratio(self, i: int, residual: Floats, extension: Floats) -> float:
+    def log_restricted_likelihood_ratio(self, index: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
         assert self.basis is not None
-        at, logs = self.factors.log_variance_factors(i)
+        at, logs = self.factors.log_variance_factors(index)
         weight, size = -np.expm1(-logs), len(residual)
         estimated = np.hstack([self.basis, extension])
         inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
@@ -192,15 +193,15 @@ class NoiseBank:
         fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
-    def _excess_over_diagonal_form(self, i: int, ratio: float, residual: Floats, extension: Floats) -> float:
+    def _excess_over_diagonal_form(self, index: int, ratio: float, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis minus its diagonal form `ratio`; 0 without a basis."""
-        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(i, residual, extension) - ratio
+        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(index, residual, extension) - ratio
 
     def _fine_log_evidence(
-        self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats
+        self, members: Ints, best_member: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
         """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
-        effect = self.hypotheses[likeliest].effect
+        effect = self.hypotheses[best_member].effect
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         tried = np.array([self.hypotheses[i].sizes for i in members[same].tolist()])
         ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
@@ -281,7 +282,7 @@ class NoiseBank:
 
 
 def _noise_patterns(
-    space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], repeated: Sequence[sp.csr_array]
+    space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], mean_patterns: Sequence[sp.csr_array]
 ) -> Iterator[VariancePattern]:
     """Added variances of the first rows, and sizes: of readings; of means too for what repeats.
 
@@ -296,7 +297,7 @@ def _noise_patterns(
             if faces := getattr(effect, "repetition", ""):
                 grown = (
                     relative_variance_of_means(m, added if kind == faces else np.zeros(0))
-                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
+                    for kind, m in zip(REPETITION_KINDS, mean_patterns, strict=True)
                 )
                 added = np.concatenate([np.zeros(space.n_rows), *grown])
             yield added, tuple(size for (size,) in sizes) if linear else (1.0,)
@@ -352,7 +353,7 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Float
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 
-def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
 
     Estimates are posterior means and deviations under a log-uniform prior of the variance factor, since the likelihood
@@ -360,7 +361,7 @@ def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHy
     infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
-    reml_gain = reml_gain_function(space, nominal, effect, space.residuals, space.redundancy)
+    reml_gain = reml_gain_function(space, nominal_variance, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
     least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))

@@ -63,24 +63,24 @@ def is_single_error(fit: NetworkFit) -> Bools:
     return single | far
 
 
-def is_consistent_when_omitted(adjustment: Adjustment, omitted: Bools) -> Bools:
+def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
-    whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return omitted & (whitened < MAX_CONSISTENT_W)
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
 
 
 def adapted_baseline(
-    recording: Recording, construction: Construction, selection: CauseSelection, *, restored: Bools | None = None
+    recording: Recording, construction: Construction, selection: CauseSelection, *, is_restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment with the blunders of a selection in its model, usable readings (n, 3), and findings.
 
     The recording of the adjustment is corrected by the estimates; their uncertainty is included in the model.
-    `restored` (n, 3) marks readings that are no errors.
+    `is_restored` (n, 3) marks readings that are no errors.
     """
     fit, mistakes = selection.fit, corrected_mistakes(selection)
     errors = is_single_error(fit)
-    if restored is not None:
-        errors &= ~restored
+    if is_restored is not None:
+        errors &= ~is_restored
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracted_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}
@@ -92,7 +92,9 @@ def adapted_baseline(
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust(moved, construction, effects=baseline.effects, reading_mask=~errors, start=baseline.state)
+        baseline = adjust(
+            moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
+        )
     axes = [test for test in baseline.axis_tests if test.is_excluded]
     return (
         baseline,

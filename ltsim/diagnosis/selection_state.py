@@ -61,7 +61,11 @@ class SelectionState:
             trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
             self._ranked_noise = None
             self._searcher = Searcher(
-                self.space, self.seed, trials, catalogue_signatures=cards, ordinary=self.tests_ordinary_constants
+                self.space,
+                self.seed,
+                trials,
+                catalogue_signatures=cards,
+                with_constants=self.tests_ordinary_constants,
             )
         return self._searcher
 
@@ -94,11 +98,11 @@ class SelectionState:
             prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[Signature] = (), start: NetworkState | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[Signature] = (), start_state: NetworkState | None = None) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
-            return adjusted(effects=(*effects, *old.effects), start=start)
+            return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
-        return refit_with_effects(with_causes if old.effects else adjusted, effects, start=old.state)
+        return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def release_priors(self, constants: Sequence[ConstantContradiction]) -> None:
         """Widening of the prior of contradicting constants, with a new adjustment."""
@@ -114,7 +118,7 @@ class SelectionState:
             effects=old.effects,
             sigma=self.recording.sigma(),
             reading_mask=self.is_used,
-            start=old.state,
+            start_state=old.state,
             prior=prior,
         )
         self.set_adjustment(self.refit((), self.reading_sigmas).adjustment)
@@ -133,15 +137,15 @@ class SelectionState:
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         return self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
 
-    def add_noise(self, further: NoiseHypothesis) -> None:
+    def add_noise(self, new_hypothesis: NoiseHypothesis) -> None:
         """Addition of a change of the noise; one of the same kind at the same place is increased."""
         for i, change in enumerate(self.noise):
-            if change.effect == further.effect:
-                values = tuple(a + b for a, b in zip(change.sizes, further.sizes, strict=True))
-                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + further.chi2_drop)
+            if change.effect == new_hypothesis.effect:
+                values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
+                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop)
                 break
         else:
-            self.noise.append(further)
+            self.noise.append(new_hypothesis)
         self.reading_sigmas = self._weighted_sigmas(self.noise)
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
@@ -170,7 +174,7 @@ class SelectionState:
         """Noise hypotheses on a residual space."""
         quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
         return NoiseBank.from_space(
-            space, noise_hypotheses(space.sightings, self.recording.instruments), quieter=quieter
+            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )
 
     def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:

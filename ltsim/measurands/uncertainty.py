@@ -209,9 +209,9 @@ class Uncertainty(ResultFile):
 
     def _lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
-        more = len(self.results) - len(lines)
+        n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
-        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+        return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         parts = [(r, p) for r in self.results for p in r.budget]
@@ -239,9 +239,13 @@ class Uncertainty(ResultFile):
 
 
 def evaluate_conformity(
-    value: float, sigma: float, tolerance: ToleranceLimits, decision: Decision, draws: Floats | None = None
+    result_value: float,
+    sigma: float,
+    tolerance: ToleranceLimits,
+    decision_rule: Decision,
+    trial_results: Floats | None = None,
 ) -> Conformity:
-    """Conformity of a result (in the unit of the tolerance), from its distribution: the `draws`, or a normal one.
+    """Conformity of a result (in the unit of the tolerance), from its trials, or from a normal distribution.
 
     References
     ----------
@@ -249,23 +253,23 @@ def evaluate_conformity(
     """
     low = -np.inf if tolerance.lower is None else tolerance.lower
     high = np.inf if tolerance.upper is None else tolerance.upper
-    if draws is not None:
-        probability = float(np.mean((draws >= low) & (draws <= high)))
+    if trial_results is not None:
+        probability = float(np.mean((trial_results >= low) & (trial_results <= high)))
     elif sigma > 0:
-        probability = float(special.ndtr((high - value) / sigma) - special.ndtr((low - value) / sigma))
+        probability = float(special.ndtr((high - result_value) / sigma) - special.ndtr((low - result_value) / sigma))
     else:
-        probability = float(low <= value <= high)
-    guard = float(-special.ndtri(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
+        probability = float(low <= result_value <= high)
+    guard = float(-special.ndtri(decision_rule.risk)) * sigma if decision_rule.rule == "guarded" else 0.0
     judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
     wrong = min(probability, 1.0 - probability)
-    if low + guard <= value <= high - guard:
+    if low + guard <= result_value <= high - guard:
         judgement, wrong = "accepted", 1.0 - probability
-    elif value < low - guard or value > high + guard:
+    elif result_value < low - guard or result_value > high + guard:
         judgement, wrong = "rejected", probability
     return Conformity(
         lower=tolerance.lower,
         upper=tolerance.upper,
-        rule=decision.rule,
+        rule=decision_rule.rule,
         guard_band=guard,
         probability=probability,
         judgement=judgement,
@@ -273,24 +277,26 @@ def evaluate_conformity(
     )
 
 
-def normalised_errors_of_files(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
+def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncertainty) -> list[tuple[str, float]]:
     """Pairs of ``task, result`` and E_n for every result that both files contain in the same unit.
 
     E_n applies to independent results, such as of two recordings or two instruments.
     """
-    others = {(r.task, r.name, r.unit): r for r in second.results}
-    both = [(r, others[key]) for r in first.results if (key := (r.task, r.name, r.unit)) in others]
+    others = {(r.task, r.name, r.unit): r for r in second_result.results}
+    both = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
     return [
         (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
         for r, o in both
     ]
 
 
-def normalised_error(value: float, expanded: float, other: float, other_expanded: float) -> float:
+def normalised_error(
+    value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
+) -> float:
     """Normalised error E_n: difference divided by the root sum of squares of the expanded uncertainties.
 
     |E_n| <= 1 agrees (ISO 13528).
     """
-    together = float(np.hypot(expanded, other_expanded))
-    gap = value - other
+    together = float(np.hypot(expanded_uncertainty, other_expanded_uncertainty))
+    gap = value - other_value
     return gap / together if together > 0 else (0.0 if gap == 0 else float(np.copysign(np.inf, gap)))

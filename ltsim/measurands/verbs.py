@@ -122,7 +122,7 @@ def compare(
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
         raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
     if len(lists) == 2:
-        return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
+        return compare_coordinates(*lists, stable_names=held, has_free_motions=free, with_scale=scaled, alpha=level)
     if lists:
         raise ModelError("a list of coordinates is compared with another one alone")
     if free:
@@ -138,7 +138,7 @@ def compare(
     epochs = [
         adjust_epoch(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
     ]
-    return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
+    return compared(*epochs, stable_names=held, with_scale=scaled, same_instrument=same_instrument, alpha=level)
 
 
 def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:

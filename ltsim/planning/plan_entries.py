@@ -161,9 +161,9 @@ class ImprovementEntry(Entry):
     """Reduction of the mean by the calibration."""
 
     @classmethod
-    def from_criteria(cls, expected: ExpectedCriteria) -> dict[str, Self]:
+    def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
         """Both criteria of one request, by name."""
-        e = expected
+        e = expected_criteria
         criteria = {
             "distance": (e.distance_before, e.distance_after, e.distance_improvement),
             "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),

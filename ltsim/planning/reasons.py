@@ -117,7 +117,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int) -> list[str]:
+def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
@@ -129,16 +129,16 @@ def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {min_stations} station{'s' if min_stations > 1 else ''}"
 
-    def came_of(text: str, same: Sequence[StationCountResult]) -> str:
-        first, last = same[0].n_stations, same[-1].n_stations
+    def came_of(text: str, results: Sequence[StationCountResult]) -> str:
+        first, last = results[0].n_stations, results[-1].n_stations
         nearest = (
-            f" (the closest layout lacks sights of {same[-1].unseen_points_text})"
-            if same[-1].unseen_points_text
+            f" (the closest layout lacks sights of {results[-1].unseen_points_text})"
+            if results[-1].unseen_points_text
             else ""
         )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"
 
-    return [came_of(text, list(same)) for text, same in groupby(tried, key=words)]
+    return [came_of(text, list(same)) for text, same in groupby(results, key=words)]
 
 
 def _air_sentence(plan: PlannedNetwork) -> list[str]:
@@ -190,11 +190,11 @@ def _quality_value_text(name: str, value: float) -> str:
     return f"{value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
 
 
-def _parameter_sentence(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[str]:
+def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
     pairs = list(
         zip(
             PlannedParameterEntry.from_information(reference.information),
-            PlannedParameterEntry.from_information(chosen.information),
+            PlannedParameterEntry.from_information(evaluation.information),
             strict=True,
         )
     )
@@ -339,12 +339,12 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     count = len(information.undetermined_combinations)
     if not count:
         return []
-    which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
+    phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
     measured = Counter(
         cure.partition(BENEFIT_PREFIX)[0] for cure in information.determining_sentences() if BENEFIT_PREFIX in cure
     )
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
-    return [f"{which} not determined by this layout (see the table){cure}."]
+    return [f"{phrase} not determined by this layout (see the table){cure}."]
 
 
 def _search_sentence(plan: PlannedNetwork) -> list[str]:

@@ -87,7 +87,7 @@ def point_weights(file: PlanFile) -> dict[str, float]:
     }
 
 
-def error_radius(covariance: Floats, level: float) -> Floats:
+def error_radius(covariance: Floats, coverage: float) -> Floats:
     """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `confidence_level`.
 
     The squared length of a normal error is a weighted sum of chi-squares; its quantile is that of the scaled chi-square
@@ -97,7 +97,7 @@ def error_radius(covariance: Floats, level: float) -> Floats:
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
     freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, level))
+    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, coverage))
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     return tuple(settings)
 
 
-def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
+def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
     """Marks for tape distances to a station, in order of preference.
 
     They are first those within reach of a tape, then along the floor, then the nearest.
@@ -135,11 +135,11 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[Tap
     reachable = {mark.end_name for mark in level}
     straight = [
         TapeDistance.from_station(*targets[t], place, floor=False)
-        for t in np.flatnonzero(visible)
+        for t in np.flatnonzero(is_visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
-    return sorted(every, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
+    candidates = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
+    return sorted(candidates, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
         :MAX_CONSIDERED_MARKS
     ]
 
@@ -187,15 +187,15 @@ def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> st
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
 
 
-def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
+def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:
     """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
     survey = plan.layout.survey
-    way = survey.target_points[visible] - place
+    way = survey.target_points[is_visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
-    best = int(np.argmin(np.abs(off)))
-    name = survey.target_names[np.flatnonzero(visible)[best]]
-    degrees = round(abs(float(off[best])) / DEGREE)
-    return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
+    best_index = int(np.argmin(np.abs(off)))
+    name = survey.target_names[np.flatnonzero(is_visible)[best_index]]
+    degrees = round(abs(float(off[best_index])) / DEGREE)
+    return name if degrees == 0 else f"{degrees}° {'right' if off[best_index] > 0 else 'left'} of {name}"
 
 
 def check_sentences(plan: PlannedNetwork) -> list[str]:

@@ -23,6 +23,7 @@ from ltsim.recordings.recording import (
 from ltsim.recordings.setup import Setup
 
 NOT_MEASURED = float("nan")
+"""Value of a reading that was not measured."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
 _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
@@ -226,10 +227,12 @@ def separate_constant_heights(
         height_of = dict(values)
         settled = all(height_of[name] == height for name, height in values)
         constant.append({name: height for name, height in height_of.items() if height} if settled else {})
-        pointings = [replace(p, covariates=_without_column(p.covariates, column, settled=settled)) for p in pointings]
+        pointings = [
+            replace(p, covariates=_without_column(p.covariates, column, uses_column=settled)) for p in pointings
+        ]
     return list(pointings), constant[0], constant[1]
 
 
-def _without_column(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
+def _without_column(covariates: dict[str, float], column: str, *, uses_column: bool) -> dict[str, float]:
     rest = {name: value for name, value in covariates.items() if name != column}
-    return rest if settled else {**rest, column: covariates.get(column, 0.0)}
+    return rest if uses_column else {**rest, column: covariates.get(column, 0.0)}

@@ -22,7 +22,7 @@ def smr_names(recording: Recording) -> tuple[str, ...]:
 def excess_radii_of_names(
     names: Sequence[str],
     targets: Sequence[str],
-    bare: Collection[str],
+    names_without_smr: Collection[str],
     reflectors: Mapping[str, Reflector],
     reference_mm: float | None,
     file: object = None,
@@ -30,7 +30,7 @@ def excess_radii_of_names(
     """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
 
     A pointing without SMR ('' in `names`), such as a planned one, has the reference: `reference_mm`, else the common
-    radius of all SMRs. Nests of `bare` targets have no normal. `file` is named in errors.
+    radius of all SMRs. Nests of `names_without_smr` targets have no normal. `file` is named in errors.
 
     Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR of another
     radius was in a nest without normal.
@@ -53,7 +53,7 @@ def excess_radii_of_names(
     reference = next(iter(radii), 0.0) if reference_mm is None else reference_mm
     off = {name: reflectors[name].radius_mm - reference for name in used} | {"": 0.0}
     for name, target in zip(names, targets, strict=True):
-        if off[name] and target in bare:
+        if off[name] and target in names_without_smr:
             raise RecordError(
                 f"targets.{target}.nest_normal is missing: its SMR {quoted_text(name)} has a radius of "
                 f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "

@@ -83,13 +83,13 @@ def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
     return setup
 
 
-def with_completed_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+def with_completed_instruments(data: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
     """Tables of a file in which each instrument's table is replaced by `filled(table, place)`."""
     made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
-        made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
+        made["instruments"] = {name: complete(table, f"instruments.{name}") for name, table in named.items()}
     if "instrument" in data:
-        made["instrument"] = filled(data["instrument"], "instrument")
+        made["instrument"] = complete(data["instrument"], "instrument")
     return made
 
 
@@ -243,10 +243,10 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     return [(node, choices(node)) for node in nodes]
 
 
-def _schema_below(node: JsonSchema, part: str) -> JsonSchema | None:
+def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
     """Schema below one part of a path: a named entry, any entry, or the entry of a list."""
-    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
-    below = below or (node.get("items") if part.isdecimal() else None)
+    below = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
+    below = below or (node.get("items") if path_part.isdecimal() else None)
     return below if isinstance(below, dict) else None
 
 
@@ -261,8 +261,8 @@ def setup_to_toml(setup: Setup) -> str:
     table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
-    named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
-    table["instruments"] = named
+    by_name = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = by_name
     if setup.gauge is not None:
         lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
         table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}

@@ -84,7 +84,7 @@ def setting_rows_figure() -> Figure:
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.setting_rows_figure(rows, label="improvement [%]", published=40.1)
+    return sweeps.setting_rows_figure(rows, label="improvement [%]", published_value=40.1)
 
 
 def factor_panels_figure() -> Figure:

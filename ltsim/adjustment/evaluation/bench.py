@@ -104,10 +104,10 @@ class BenchFile(ResultFile):
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))
         size = with_sigma(worst.error_um, worst.sigma_um, "um")
-        off = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
+        phrase = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
         lines = [
             f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
-            f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
+            f"sphere off the table's axis: {phrase}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
             f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
@@ -207,10 +207,10 @@ def evaluate_bench(record: BenchReadings) -> BenchEstimates:
     residual = record.displacements - design @ estimate
     variance = float(residual @ residual) / max(len(turned) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
-    middle = int(np.argmin(np.abs(record.angles)))
-    uncorrected = record.lengths - record.lengths[middle]
-    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle]
-    length_variance = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
+    middle_index = int(np.argmin(np.abs(record.angles)))
+    uncorrected = record.lengths - record.lengths[middle_index]
+    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle_index]
+    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * record.length_sigma**2)
     return BenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
@@ -257,8 +257,8 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
-    how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
-    record = read_bench(Path(source), **how)
+    options = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
+    record = read_bench(Path(source), **options)
     result = evaluate_bench(record)
     vertex = fit_vertex_offset(record.angles, result.range_errors, float(result.range_error_sigmas.max()))
     off = np.sqrt(np.diag(result.eccentricity_covariance))

@@ -87,8 +87,8 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     >>> lt.check(recording).passed
     True
     """
-    whole = load_recording(recording)
-    identification = identify_causes(whole) if len(whole.stations) > 1 else None
+    full_recording = load_recording(recording)
+    identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
     selection = (
         identification
         if identification and (identification.requires_initial_causes or identification.is_consistent)
@@ -96,12 +96,15 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     )
     moving = identification.certain_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
-    corrected = whole if selection is None else selection.fit.correct_recording(whole)
-    paired = whole if selection is None else selection.fit.correct_recording(whole, outliers=True)
-    family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(whole.stations), 1))
-    every = range(len(whole.stations))
-    setups, network = tuple(_test_setup(corrected, paired, s, family, mpe) for s in every), tuple[CheckItem, ...]()
-    if len(whole.stations) > 1:
+    corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
+    paired = full_recording if selection is None else selection.fit.correct_recording(full_recording, outliers=True)
+    family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
+    all_indices = range(len(full_recording.stations))
+    setups, network = (
+        tuple(_test_setup(corrected, paired, s, family, mpe) for s in all_indices),
+        tuple[CheckItem, ...](),
+    )
+    if len(full_recording.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         moving = tuple(motion for motion in moving if motion.stations not in {m.stations for m in motions})
         plain = adjust_for_check(corrected, motions)
@@ -110,11 +113,11 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             shown, scattering = scale_target_noise(corrected, plain)
             read = apply_corrections(shown, detect_blunders(plain))
         if read is not corrected:  # a set-up is not blamed for what has a name
-            setups = tuple(_test_setup(read, read, s, family, mpe) for s in every)
+            setups = tuple(_test_setup(read, read, s, family, mpe) for s in all_indices)
         shared = HypothesisFamily(level, 2 * N_NETWORK_TESTS)
         together = network_items(shown, plain, shared, motions, moving, with_target_noise=shown is not corrected)
         network = (*scattering, *together)
-    result = Check.from_items(CheckArrays(whole, setups), network, level, causes)
+    result = Check.from_items(CheckArrays(full_recording, setups), network, level, causes)
     if not result.items:
         message = "no station measured a target twice, so no test is possible yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
@@ -143,14 +146,14 @@ def _test_setup(
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
     """Tests of a set-up; its two-face differences are those of `paired_recording`, including outliers."""
-    at = np.flatnonzero(setup_recording.station == station)
-    recording, rows, name = setup_recording.select(at), at + 1, setup_recording.stations[station]
+    indices = np.flatnonzero(setup_recording.station == station)
+    recording, rows, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
     construction = declared_construction(recording)
     visit = StationOccupation.from_recording(recording, construction)
     judged = SetupTests((), visit, (), recording)
     if visit.dof > 0:
         judged = _gross_and_motion_tests(visit, construction, family, rows)
-    two_faced, motionless = paired_recording.select(at), judged.motion_corrected.readings
+    two_faced, motionless = paired_recording.select(indices), judged.motion_corrected.readings
     motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
     items, faces = (
         list[CheckItem](),
@@ -302,8 +305,8 @@ def _bump_item(
         return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
     explained = occupation.fit_columns(bump.design(occupation.sightings))
     order = np.argsort(recording.time, kind="stable")
-    at = int(np.searchsorted(recording.time[order], bump.time))
-    pair = order[at - 1 : at + 1]
+    index = int(np.searchsorted(recording.time[order], bump.time))
+    pair = order[index - 1 : index + 1]
     between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
     chance = family.corrected_p_value(occupation.p_value(explained), len(order) - 1)
@@ -326,9 +329,9 @@ def _drift_item(
 ) -> CheckItem:
     explained = occupation.fit_columns(design)
     p = family.corrected_p_value(occupation.p_value(explained))
-    passed = p >= family.false_alarm_rate
+    is_passed = p >= family.false_alarm_rate
     return CheckItem.from_test(
-        occupation.recording.stations[0], kind, passed, write_sentence(occupation.recording, explained, passed), p
+        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, explained, is_passed), p
     )
 
 

@@ -187,8 +187,8 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
     rows = rows[np.argsort(-size[rows], kind="stable")]
     station, target = recording.station[rows[0]], recording.target[rows[0]]
     first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
-    many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{many} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
+    phrase = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
+    sentence = f"{phrase} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
     targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
     return [CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
 

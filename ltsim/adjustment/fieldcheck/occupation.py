@@ -52,9 +52,9 @@ class ColumnsFit:
     estimates: Floats
     covariance: Floats
 
-    def length_and_sigma(self, which: slice) -> tuple[float, float]:
+    def length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of some estimated values, and its standard deviation."""
-        part, spread = self.estimates[which], self.covariance[which, which]
+        part, spread = self.estimates[columns], self.covariance[columns, columns]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
             return length, float("inf")
@@ -85,16 +85,20 @@ class StationOccupation:
 
     @classmethod
     def from_recording(
-        cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
+        cls,
+        recording: Recording,
+        construction: Construction,
+        row_mask: Bools | None = None,
+        sigma: Floats | None = None,
     ) -> StationOccupation:
         """Occupation of a recording's station.
 
-        `use` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
+        `row_mask` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
         """
-        chosen = np.ones(len(recording), dtype=bool) if use is None else use
-        weight = recording.usable & chosen[:, None]
+        mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
+        weight = recording.usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
         by_point, by_value = construction.reading_design(sightings.raw_readings, np.zeros(construction.n_parameters))
@@ -103,12 +107,12 @@ class StationOccupation:
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
         blank = np.zeros((len(recording), 3, 0))
-        bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
+        bare = cls(recording, sightings, mask, gap, by_target, blank, sigma, 0)
         columns = bare.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
+        whole = cls(recording, sightings, mask, gap, by_target, instrument, sigma, dof)
         return replace(whole, whitened_residuals=whole.project_columns(gap[:, :, None] * scale)[:, :, 0])
 
     @property
@@ -147,13 +151,13 @@ class StationOccupation:
         """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = u[:, good].T @ self.whitened_residuals.ravel()
-        back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
+        is_valid = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        amount = u[:, is_valid].T @ self.whitened_residuals.ravel()
+        back = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = back @ back.T
-        unseen = np.sum(right[good] ** 2, axis=0) < MIN_DETERMINED_FRACTION
+        unseen = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
         covariance[unseen, unseen] = np.inf
-        return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
+        return ColumnsFit(float(amount @ amount), int(is_valid.sum()), back @ amount, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
         """p-value of a chi-square decrease: the larger one of declared and of estimated noise."""
@@ -187,8 +191,8 @@ class StationOccupation:
     def distance_from_mean(self, row: int) -> float:
         """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
         points = from_polar(self.recording.readings)
-        whole = np.isfinite(points).all(axis=1)
-        others: Bools = np.logical_and(whole & self.row_mask, self.recording.target == self.recording.target[row])
+        is_complete = np.isfinite(points).all(axis=1)
+        others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
@@ -204,29 +208,29 @@ class StationOccupation:
         in_use = self.inverse_sigmas > 0
         response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
         values, vectors = np.linalg.eigh(response)
-        controlled = values > MIN_READING_REDUNDANCY
+        is_controlled = values > MIN_READING_REDUNDANCY
         amount = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
-        drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
-        return drop, controlled.sum(axis=1).astype(np.int64)
+        drop = np.where(is_controlled, amount**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
+        return drop, is_controlled.sum(axis=1).astype(np.int64)
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
-    whole = np.isfinite(points).all(axis=1)
-    good = whole & row_mask if (whole & row_mask).any() else whole
+    is_complete = np.isfinite(points).all(axis=1)
+    is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
     total, count = np.zeros((len(recording.targets), 3)), np.zeros(len(recording.targets))
-    np.add.at(total, recording.target[good], points[good])
-    np.add.at(count, recording.target[good], 1.0)
+    np.add.at(total, recording.target[is_valid], points[is_valid])
+    np.add.at(count, recording.target[is_valid], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
     mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
     return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
-def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
+def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
     """Orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
     bases, ranks = np.zeros_like(columns), 0
-    for t in range(count):
+    for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
         good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
@@ -257,14 +261,14 @@ class TwoFaceDifferences:
         recording: Recording,
         motion_corrected: Recording,
         construction: Construction,
-        level: float,
+        alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
         `motion_corrected_pairs` has its readings without motions.
 
-        `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
+        `alpha` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
         if not len(face_pair_rows(recording)):
             return None
@@ -279,7 +283,7 @@ class TwoFaceDifferences:
         ]
         guarantee = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
-            critical = -special.ndtri(level / (2 * pairs.half_differences.size))
+            critical = -special.ndtri(alpha / (2 * pairs.half_differences.size))
             limit = critical * np.hypot(noise, guarantee)
         else:
             metres = pairs.front_face_readings[:, 0]
@@ -348,9 +352,9 @@ def two_face_pairs(
     if not len(pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
     built = construction or ideal_construction()
-    applied = np.zeros(built.n_parameters) if values is None else values
+    applied_values = np.zeros(built.n_parameters) if values is None else values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
-    polar = to_polar(built.point(readings, applied))
+    polar = to_polar(built.point(readings, applied_values))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second
     gap[:, 1:] = wrap_angle(gap[:, 1:])

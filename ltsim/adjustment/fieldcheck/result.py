@@ -72,11 +72,11 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
 
 def item_from_cause(test: CauseTest) -> CheckItem:
     """Item of an identified cause; it passes only if it is noise smaller than declared."""
-    passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
+    is_passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
     kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
-    return CheckItem.from_test(at, kind, passed, sentence, test.p_value, targets=targets, rows=test.rows)
+    return CheckItem.from_test(at, kind, is_passed, sentence, test.p_value, targets=targets, rows=test.rows)
 
 
 ITEMS_TABLE = Table(
@@ -142,23 +142,23 @@ class Check(ResultFile):
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network: Sequence[CheckItem], level: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
         """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
         rest = (item for item in network if item.kind != "mistake")
         items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
-        made = cls(
+        result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
             sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
-            level=level,
+            level=alpha,
             tests=tuple(tests),
             items=items,
         )
-        made._arrays = arrays
-        return made
+        result._arrays = arrays
+        return result
 
     @property
     def arrays(self) -> CheckArrays:
@@ -192,15 +192,15 @@ class Check(ResultFile):
 
 def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
     """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
-    failed = [item for item in items if not item.passed]
+    failed_items = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
     rest = sorted(
-        failed[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
+        failed_items[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
     )
-    failed = [*failed[:count], *rest]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        return f"no-go: {failed[0].sentence}{more}"
+    failed_items = [*failed_items[:count], *rest]
+    if failed_items:
+        more = f" (and {len(failed_items) - 1} more)" if len(failed_items) > 1 else ""
+        return f"no-go: {failed_items[0].sentence}{more}"
     return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and specification"
 
 

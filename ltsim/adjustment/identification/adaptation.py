@@ -66,4 +66,4 @@ def adjust_with_causes(
         instrument = fit.state.instrument_parameters
     extra = np.zeros(sum(len(e.parameters) for e in effects))
     start = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
-    return adjust(changed, construction, effects=(*effects, *shifts), start=start, **options)
+    return adjust(changed, construction, effects=(*effects, *shifts), start_state=start, **options)

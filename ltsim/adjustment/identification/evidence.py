@@ -22,6 +22,7 @@ from ltsim.core.arrays import Floats
 SHIFT_SIZE_DECADES = 6.0
 """Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
+"""Log of the width, in natural logarithms of the size, of the log-uniform prior of a shift."""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
@@ -46,11 +47,11 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
 
     The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """
-    enough = np.asarray(redundancy) > 1.0
-    ratio = np.where(enough, sum_of_squares / np.where(enough, redundancy, 1.0), 1.0)
+    is_sufficient = np.asarray(redundancy) > 1.0
+    ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
-    return np.sqrt(ratio), np.where(enough, gain, 0.0)
+    return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
 def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
@@ -82,6 +83,7 @@ PRIOR_FRACTION_BY_KIND = {
     "noise-level": 0.05,
     "centring": 0.02,
 }
+"""Fraction of the prior probability of all causes that each kind has; its places share it equally."""
 
 
 LOG_ODDS_OF_CENTRING = -30.0

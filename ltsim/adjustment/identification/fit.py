@@ -122,7 +122,7 @@ class NetworkFit:
         cls,
         network: FitInput,
         hypotheses: Sequence[Hypothesis] = (),
-        start: NetworkState | None = None,
+        start_state: NetworkState | None = None,
         approximate_sizes: Sightings | None = None,
     ) -> NetworkFit | None:
         """Fit from a start, by default from the recording alone; None for an undetermined network.
@@ -130,14 +130,16 @@ class NetworkFit:
         If the sightings `approximate_sizes` are given, the start is computed from the recording without the guessed
         shifts of the hypotheses.
         """
-        fresh = start is None
-        problem, start = cls._make_problem(network, hypotheses, start, approximate_sizes)
+        fresh = start_state is None
+        problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sizes)
         if fresh:
-            start = resect_contradicted_setups(
-                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start))[0]
+            start_state = resect_contradicted_setups(
+                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             )
-        whole = drop_undetermined(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, MAX_OUTLIER_PASSES))
+        full_problem = drop_undetermined(problem, start_state)
+        fit = cls(
+            network, tuple(hypotheses), full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES)
+        )
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit if fit.solution.has_converged and fit._determines_shifts else None
@@ -172,25 +174,25 @@ class NetworkFit:
     def _make_problem(
         network: FitInput,
         hypotheses: Sequence[Hypothesis],
-        start: NetworkState | None = None,
+        start_state: NetworkState | None = None,
         approximate_sizes: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
         """Problem with all usable readings, and a start, as in `from_start`."""
         recording = apply_corrections_and_omissions(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
-        if start is None:
+        if start_state is None:
             reached, lost = initial_network(
                 recording if approximate_sizes is None else subtract_shifts(recording, hypotheses, approximate_sizes)
             )
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
             parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
-            start = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
-        recording = with_plumb_lines(recording, start.station_positions)
+            start_state = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start_state.station_positions)
         effects = tuple(h.model_change.effect for h in hypotheses if isinstance(h.model_change, ReadingShiftChange))
         model = MeasurementModel(recording, network.construction, effects)
-        if len(start.extra_parameters) != model.n_extra_parameters:
-            start = replace(
-                start, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
+        if len(start_state.extra_parameters) != model.n_extra_parameters:
+            start_state = replace(
+                start_state, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
             )
         usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
         sigma = recording.sigma()
@@ -204,8 +206,8 @@ class NetworkFit:
             effect_prior_sigma=WEAK_PRIOR_SIZES,
             prior=network.prior,
         )
-        positions = problem.marks.positions_on_marks(start.station_positions, start.target_points)
-        return problem, replace(start, station_positions=positions)
+        positions = problem.marks.positions_on_marks(start_state.station_positions, start_state.target_points)
+        return problem, replace(start_state, station_positions=positions)
 
     def _with_estimated_noise(self) -> NetworkFit:
         """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
@@ -287,14 +289,14 @@ class NetworkFit:
             readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
         if not outliers:
             readings[self.is_outlier] = np.nan
-        corrected = recording.replace(
+        corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
         if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
-            return corrected
+            return corrected_recording
         sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-        return corrected.replace(covariates={**corrected.covariates, **columns})
+        return corrected_recording.replace(covariates={**corrected_recording.covariates, **columns})
 
     @cached_property
     def residuals(self) -> Floats:
@@ -341,8 +343,8 @@ class NetworkFit:
             station = self.recording.stations.index(value.name)
             over = declared.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
-        return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+        candidates = (*reference_values(declared, self.state), *common_scale(declared, self.state))
+        return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
         """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""

@@ -126,7 +126,7 @@ class Hypothesis:
         """Key of the place; hypotheses with equal keys are equivalent and differ only in time and guess."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
-    def competes_with(self, other: Hypothesis) -> bool:
+    def competes_with(self, rival: Hypothesis) -> bool:
         """True if both may explain the same readings: equal station or target, or one of them acts everywhere."""
-        places = [(*h.stations, *h.targets) for h in (self, other)]
+        places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

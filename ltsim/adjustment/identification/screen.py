@@ -314,8 +314,8 @@ def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
 
 def _rows_with_targets(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
     """Rows with pointings to the targets of a hypothesis."""
-    at = [fit.recording.targets.index(name) for name in hypothesis.targets]
-    return np.flatnonzero(np.isin(fit.recording.target, at))
+    indices = [fit.recording.targets.index(name) for name in hypothesis.targets]
+    return np.flatnonzero(np.isin(fit.recording.target, indices))
 
 
 def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
@@ -360,6 +360,6 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
     gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + log_occam_factor_of_variance(redundancy)
-    best = int(np.argmax(gain))
-    change = NoiseFactor(reading_mask, float(factor[best]))
-    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, model_change=change)
+    best_index = int(np.argmax(gain))
+    change = NoiseFactor(reading_mask, float(factor[best_index]))
+    return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

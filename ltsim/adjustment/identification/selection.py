@@ -101,7 +101,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     """
     fit = beginning = _initial_fit(network)
     last: FitKey | None = None
-    required: list[Hypothesis] = []
+    spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
         needed = min_gain if not has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
@@ -110,10 +110,10 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         best = _refine_motion_time(tried[0][1])
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed), key=lambda made: made.log_evidence)
-        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), required)
+        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last, required)
+    return _compare_again(fit, min_gain, beginning, last, spared)
 
 
 def _fit_with_other_causes(fit: NetworkFit, needed: float) -> NetworkFit:
@@ -269,38 +269,38 @@ def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float)
     return best
 
 
-def _drop_unneeded(fit: NetworkFit, min_gain: float, first: int, required: list[Hypothesis]) -> NetworkFit:
+def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
-    Of the `first` hypotheses, with which the fit started, only omitted reference values may be removed, because without
-    the others there is no network. Hypotheses in `required` also remain; any that prove to be necessary are added to
-    it.
+    Of the first `n_start` hypotheses only omitted reference values may be removed: without the others there is no
+    network. Hypotheses in `spared` remain too; those that prove to be necessary are added to it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        if (i < first and not isinstance(h.model_change, ReferenceOmission)) or not h.competes_with(fit.hypotheses[-1]):
+        is_initial = i < n_start and not isinstance(h.model_change, ReferenceOmission)
+        if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _fit_without(fit, h, required)
+        rest = _fit_without(fit, h, spared)
         if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
-def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, required: list[Hypothesis]) -> NetworkFit | None:
-    """Fit without one of its hypotheses; None, and an entry in `required`, if there is no network without it."""
-    if any(h is hypothesis for h in required):
+def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, spared: list[Hypothesis]) -> NetworkFit | None:
+    """Fit without one of its hypotheses; None, and an entry in `spared`, if there is no network without it."""
+    if any(h is hypothesis for h in spared):
         return None
-    others = tuple(h for h in fit.hypotheses if h is not hypothesis)
+    remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        rest = NetworkFit.from_start(fit.network, others, replace(fit.state, extra_parameters=np.zeros(0)))
+        rest = NetworkFit.from_start(fit.network, remaining, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         rest = None
     if rest is None:
-        required.append(hypothesis)
+        spared.append(hypothesis)
     return rest
 
 
 def _compare_again(
-    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, required: list[Hypothesis]
+    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, spared: list[Hypothesis]
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the others.
 
@@ -310,7 +310,7 @@ def _compare_again(
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, required)
+        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, spared)
         if rest is None:
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
@@ -322,7 +322,7 @@ def _compare_again(
         )
         others = [(other, made) for other, made in tried if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _compare_again(others[0][1], min_gain, initial_fit, None, required)
+            return _compare_again(others[0][1], min_gain, initial_fit, None, spared)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.

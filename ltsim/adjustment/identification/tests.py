@@ -152,8 +152,8 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
     """Factor on the declared standard deviations of an accepted change of the noise."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
-    chosen = hypothesis.model_change.reading_mask & fit.problem.used_readings
-    return float(np.median(fit.problem.sigma[chosen] / fit.network.recording.sigma()[chosen]))
+    mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
+    return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
 def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
@@ -292,10 +292,10 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if hypothesis.targets:
         acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
     rows = s.measurement_order[acts[s.measurement_order]]
-    at = int(np.searchsorted(s.time[rows], since))
-    if not 0 < at < len(rows):
+    index = int(np.searchsorted(s.time[rows], since))
+    if not 0 < index < len(rows):
         return "during its measurement"
-    return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
+    return f"between rows {rows[index - 1] + 1} and {rows[index] + 1}"
 
 
 def _number_text(value: float) -> str:
@@ -306,9 +306,9 @@ def _number_text(value: float) -> str:
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
     """Tests of rejected readings, the largest first, each against its prediction by all readings in use."""
     recording, tests = fit.recording, list[CauseTest]()
-    at = np.argwhere(fit.is_outlier)
-    at = at[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
-    for i, k in at.tolist():
+    indices = np.argwhere(fit.is_outlier)
+    indices = indices[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
+    for i, k in indices.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
         value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * fit.outlier_prediction_sigmas[i, k])
@@ -345,8 +345,8 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
     """Probability that the target of an outlier has moved, which is possible if it is the last pointing."""
     s = fit.adjustment.sightings
-    same = np.flatnonzero(s.target == s.target[row])
-    if same[np.argmax(s.time[same])] != row or len(same) < 2:
+    same_rows = np.flatnonzero(s.target == s.target[row])
+    if same_rows[np.argmax(s.time[same_rows])] != row or len(same_rows) < 2:
         return 0.0
     w = float(np.sqrt(chi2_drop))
     odds = log_prior_of("target-moved", len(s)) - log_prior_of(

@@ -45,7 +45,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
     physics counts as one more effect.
     """
-    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
+    return noncentrality(dof, alpha=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
@@ -152,29 +152,29 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
 
 
 def effect_detectability(
-    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int
+    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
 ) -> EffectDetectability:
     """Detectability of one effect from its projected signatures.
 
-    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `sought` is the number of places
-    that a search tries.
+    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `effect_index` is the number of
+    places that a search tries.
     """
     effects, information, visible, spent, columns = zip(*signatures, strict=True)
-    needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
+    needed = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
     sizes = tuple(map(_minimal_sizes, information, needed))
     names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
 
 
-def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, Floats, Ints]:
+def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
     """Information (..., q, q), visible fraction (...) and rank (...) from Gram matrices of projected unit columns.
 
     `norm` (..., q) are the lengths of the columns, `visible_fraction` is the fraction of a squared length below which
     it is rounding.
     """
     share = np.einsum("...ii->...i", gram)
-    shown = np.where(share < visible, 0.0, norm)
-    rank = np.sum(np.linalg.eigvalsh(gram) > visible, axis=-1)
+    shown = np.where(share < min_visible_fraction, 0.0, norm)
+    rank = np.sum(np.linalg.eigvalsh(gram) > min_visible_fraction, axis=-1)
     return gram * shown[..., :, None] * shown[..., None, :], np.mean(share, axis=-1), rank
 
 
@@ -202,8 +202,11 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
     from zero.
     """
-    at = [adjustment.construction.index(p.name) for p in effect.parameters]
-    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
+    indices = [adjustment.construction.index(p.name) for p in effect.parameters]
+    block, prior = (
+        adjustment.instrument_covariance[np.ix_(indices, indices)],
+        adjustment.problem.prior.sigma[0][indices],
+    )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < INFORMATION_ROUNDING_ERROR] = 0.0
     sizes = _minimal_sizes(information, noncentrality(len(information)))

@@ -88,23 +88,23 @@ class PlannedNetwork:
         `time` [s] is that of the first of them, or of each; default right after the last one made.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
-        when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
-        when = when if when.ndim else when + step * np.arange(count)
-        last = int(np.argmax(recording.time))
+        times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
+        times = times if times.ndim else times + step * np.arange(count)
+        last_index = int(np.argmax(recording.time))
         flat = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
 
-        def append_rows(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
-            return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
+        def append_rows(column: Floats | Ints, new_rows: Floats | Ints | float) -> Floats:
+            return np.concatenate([column, np.broadcast_to(new_rows, (count, *column.shape[1:])).astype(column.dtype)])
 
-        whole = recording.replace(
+        full_recording = recording.replace(
             station=append_rows(recording.station, station),
             target=append_rows(recording.target, target),
             face=append_rows(recording.face, face),
             repeat=append_rows(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
-            time=append_rows(recording.time, when),
+            time=append_rows(recording.time, times),
             readings=append_rows(recording.readings, np.nan),
             covariates={
-                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
+                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last_index])
                 for key, column in recording.covariates.items()
             },
             labels={
@@ -112,12 +112,15 @@ class PlannedNetwork:
                 for key, column in recording.labels.items()
             },
         )
-        predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
+        predicted = MeasurementModel(full_recording, self.construction).predict(self.state)[len(recording) :]
         reads = np.array(
-            [recording.is_measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+            [
+                recording.is_measured[recording.instrument == i].any(axis=0)
+                for i in range(len(full_recording.instruments))
+            ]
         )
-        predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
-        return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
+        predicted[~reads[full_recording.instrument[len(recording) :]]] = np.nan
+        return replace(self, recording=full_recording.with_readings(np.concatenate([recording.readings, predicted])))
 
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
         """Network with an additional set-up at `position` (3,), `rotation` (3, 3).
@@ -146,16 +149,23 @@ class PlannedNetwork:
             state=replace(self.state, target_points=np.vstack([self.state.target_points, points])),
         )
 
-    def with_length(self, first: int, second: int, sigma_mm: float) -> PlannedNetwork:
+    def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
         recording, rows = self.recording, GaugeRows.from_recording(self.recording)
-        if {first, second} in (
+        if {first_target, second_target} in (
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
         ):
             return self
-        length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
+        length = (
+            float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
+            / MILLIMETRE
+        )
         # `from` is a keyword: the alias goes in through a mapping.
-        ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
+        ends: dict[str, Any] = {
+            "from": recording.targets[first_target],
+            "to": recording.targets[second_target],
+            "length_mm": length,
+        }
         added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)
         gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
         return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

@@ -88,11 +88,11 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size (q,) of an effect that fits a projected vector best, and the remaining squared length."""
-    projected = space.project(space.whitened_signature(effect))
-    if not np.isfinite(projected).all() or not projected.any():
+    projected_signature = space.project(space.whitened_signature(effect))
+    if not np.isfinite(projected_signature).all() or not projected_signature.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(projected, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - projected @ values) ** 2))
+    values = np.asarray(np.linalg.lstsq(projected_signature, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - projected_signature @ values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -173,9 +173,13 @@ class MeasurementProposal(ValueEquality):
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
         sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
-        best = int(np.argmin(ratio))
+        best_index = int(np.argmin(ratio))
         return cls(
-            remedy, float(sharper), adjustment.construction.parameter_names[best], float(ratio[best]), evidence or {}
+            remedy,
+            float(sharper),
+            adjustment.construction.parameter_names[best_index],
+            float(ratio[best_index]),
+            evidence or {},
         )
 
     @property
@@ -256,8 +260,8 @@ def rank_next_measurements(
             adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    every = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
-    remedies = [remedy for remedy in every if remedy.is_determined]
+    candidates = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
+    remedies = [remedy for remedy in candidates if remedy.is_determined]
     proposals = []
     for done, remedy in enumerate(remedies, 1):
         proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment))

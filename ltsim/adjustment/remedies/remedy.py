@@ -191,15 +191,15 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
     `suspect_targets` are targets that should be measured again.
     """
     recording = network.recording
-    last = int(recording.station[np.argmax(recording.time)])
-    station, here = recording.stations[last], _setup_rows(recording, last)
+    last_index = int(recording.station[np.argmax(recording.time)])
+    station, here = recording.stations[last_index], _setup_rows(recording, last_index)
     order = _targets_in_order(recording.target[here])
     usual = int(recording.face[here[0]])
 
     def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
         seconds = len(target) * network.seconds_per_pointing
         words = advice_sentence(key, station=station, **values)
-        return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
+        return Remedy("pointings", words, seconds, network.with_pointings(last_index, target, face))
 
     if len(np.unique(recording.face[here])) == 1:
         yield remedy("other face here", order[::-1], 3 - usual)
@@ -216,7 +216,7 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
         )
     yield remedy("to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS)
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
-    away = np.linalg.norm(network.state.target_points[unseen] - network.state.station_positions[last], axis=1)
+    away = np.linalg.norm(network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1)
     unseen = unseen[away > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
@@ -228,8 +228,8 @@ def return_remedies(
     """Remedies with another set-up at each position of an instrument, with rotated base, for the same targets."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
-    for s in chosen if stations is None else stations:
+    indices = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
+    for s in indices if stations is None else stations:
         target = _targets_in_order(recording.target[_setup_rows(recording, s)])
         if len(target):
             words = advice_sentence("turned", station=recording.stations[s], turn=BASE_ROTATION / DEGREE)
@@ -319,8 +319,8 @@ def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
-    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
-    i, j = int(first[best]), int(second[best])
+    best_index = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
+    i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
     yield Remedy("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
 

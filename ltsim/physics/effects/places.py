@@ -56,8 +56,8 @@ def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
     """Midpoints [s] of the `N_NEIGHBOUR_GAPS` gaps between pointings at `times` on either side of `time`."""
     ordered = np.unique(times)
     middle = 0.5 * (ordered[1:] + ordered[:-1])
-    at = int(np.searchsorted(middle, time))
-    return [float(t) for t in middle[max(at - N_NEIGHBOUR_GAPS, 0) : at + N_NEIGHBOUR_GAPS + 1]]
+    index = int(np.searchsorted(middle, time))
+    return [float(t) for t in middle[max(index - N_NEIGHBOUR_GAPS, 0) : index + N_NEIGHBOUR_GAPS + 1]]
 
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:

@@ -100,7 +100,7 @@ def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Float
 
 
 def _trace_rays(
-    start: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
+    origins: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3), end directions (n, 3) and integrals (n,) of n - 1 along rays of given arc length."""
     law, slope = _refractivity_by_temperature()
@@ -112,7 +112,7 @@ def _trace_rays(
         turn = (steep - np.sum(steep * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[:, None]
         return turn, above
 
-    place, heading, optical = start.copy(), direction.copy(), np.zeros(len(start))
+    place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
     h = length / steps
     hv = h[:, None]
     for _ in range(steps):

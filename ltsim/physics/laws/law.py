@@ -248,7 +248,7 @@ class EmpiricalLaw(CandidateEffect):
         if self.regressor.kind != "product":
             return []
         options = [
-            list(short_regressors(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            list(short_regressors(sightings, f.covariates[0], reduced=True)) if f.kind == "smooth" else [f]
             for f in self.regressor.factors
         ]
         products = [Regressor("product", factors=factors) for factors in product(*options)]

@@ -139,10 +139,10 @@ class MeasurementModel:
         ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
 
-    def incidence_parameters_by_reflector(self, extra: Floats) -> dict[str, Floats]:
+    def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
         columns = zip(self.incidence_errors, self.incidence_columns, strict=True)
-        return {error.reflector: error.smr_incidence_parameters(extra[at]) for error, at in columns}
+        return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
 
     @cached_property
     def centring_errors(self) -> tuple[CentringErrors, ...]:
@@ -205,10 +205,10 @@ class MeasurementModel:
         geometry = self.geometry(state)
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
-    def _with_effect_data(self, geometry: Sightings, state: NetworkState, raw: Floats) -> Sightings:
+    def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
         """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
-        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=raw)
+        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
         return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
@@ -225,40 +225,42 @@ class MeasurementModel:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
-    def extra_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters at values (q,)."""
-        return self._signatures_change(self.extra_effects, sightings, extra)
+        return self._signatures_change(self.extra_effects, sightings, parameters)
 
-    def effects_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
-        return self._signatures_change(self.effects, sightings, extra)
+        return self._signatures_change(self.effects, sightings, parameters)
 
-    def incidence_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def incidence_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
-        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(extra))
+        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
-    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
+    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the given signatures, which are the first of the additional ones."""
         change = np.zeros((len(sightings), 3))
-        for signature, values in zip(signatures, self._values_by_effect(extra), strict=False):
+        for signature, values in zip(signatures, self._values_by_effect(parameters), strict=False):
             change += signature.reading_change(sightings, values)
         return change
 
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
-        raw = self._instrument_readings(sightings, state)
+        raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
-            sightings = self._with_effect_data(sightings, state, raw)
-            raw = raw + self.extra_change(sightings, state.extra_parameters)
+            sightings = self._with_effect_data(sightings, state, raw_readings)
+            raw_readings = raw_readings + self.extra_change(sightings, state.extra_parameters)
         if self._horizontal_distance_flags is not None:
-            raw[self._horizontal_distance_flags, 0] *= np.abs(np.cos(raw[self._horizontal_distance_flags, 2]))
-        return raw
+            raw_readings[self._horizontal_distance_flags, 0] *= np.abs(
+                np.cos(raw_readings[self._horizontal_distance_flags, 2])
+            )
+        return raw_readings
 
-    def _values_by_effect(self, extra: Floats) -> list[Floats]:
+    def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Values of each additional effect; 0 for those that a state does not hold."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
-        whole = np.pad(extra, (0, sum(sizes) - len(extra)))
+        whole = np.pad(parameters, (0, sum(sizes) - len(parameters)))
         return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearise(self, state: NetworkState) -> Prediction:
@@ -286,19 +288,19 @@ class MeasurementModel:
         return Prediction(raw, *derivatives)
 
 
-def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
+def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to the horizontal, in place.
 
     `is_horizontal` (n,) marks the rows of the readings (n, 3) to reduce.
     """
-    range_, level = raw[is_horizontal, 0], raw[is_horizontal, 2]
+    range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
     for by in derivatives:
         by[is_horizontal, 0] = (sign * cosine)[:, None] * by[is_horizontal, 0] - (sign * range_ * np.sin(level))[
             :, None
         ] * by[is_horizontal, 2]
-    raw[is_horizontal, 0] = range_ * np.abs(cosine)
+    readings[is_horizontal, 0] = range_ * np.abs(cosine)
 
 
 MAX_AXIS_SPREAD = 5 * DEGREE

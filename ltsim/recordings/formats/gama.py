@@ -51,6 +51,7 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
+"""Axes of gama-local that form a left-handed frame: the sign of y is changed."""
 DIRECT_AXES = ("en", "nw", "se", "ws")
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 STDEV_ATTRIBUTES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
@@ -357,9 +358,9 @@ def _target(point: GamaPoint, height: float) -> Target:
 def _noise(network: GamaNetwork) -> Noise:
     """Default standard deviations of the file; those of single observations are in columns."""
 
-    def default(kind: str, otherwise: float) -> float:
+    def default(kind: str, fallback: float) -> float:
         words = network.stdev.get(kind, "").split()
-        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 
     return Noise(

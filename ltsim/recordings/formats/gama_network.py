@@ -203,12 +203,12 @@ def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDiffe
         ) from None
 
 
-def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
+def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
     """Standard deviations (n,) of the independent parts of observations, and effects (n, q) of q shared errors.
 
     With effects F and independent standard deviations on the diagonal of D, the declared covariance is D^2 + F F'. F
     has the smallest number of errors that leaves every observation an independent part. Uncorrelated observations share
-    none; `before` is the number of shared errors of earlier observations.
+    none; `n_earlier` is the number of shared errors of earlier observations.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):
@@ -216,7 +216,7 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
-    if before + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
+    if n_earlier + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
         message = (
             f"more than {MAX_CORRELATED_OBSERVATIONS} observations are correlated, expected fewer; give "
             "variances alone with band 0"

@@ -37,7 +37,7 @@ class _GsiLine:
     where: SourceLocation
 
     @classmethod
-    def from_line(cls, line: str, where: SourceLocation) -> _GsiLine:
+    def from_line(cls, line: str, location: SourceLocation) -> _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
@@ -45,9 +45,9 @@ class _GsiLine:
             if _PPM_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != wide:
-                raise where.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if wide else 8}")
+                raise location.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
-        return cls(words, where)
+        return cls(words, location)
 
     def has_words(self, *keys: str) -> bool:
         return all(key in self.words for key in keys)
@@ -136,5 +136,5 @@ def _pointing(block: _GsiLine, file: FieldBook) -> None:
         horizontal=block.angle("21"),
         zenith=block.angle("22"),
         height=block.length("87"),
-        flat=flat,
+        is_horizontal=flat,
     )

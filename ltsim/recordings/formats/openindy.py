@@ -83,9 +83,9 @@ def _pointing(
     if reference not in stations:
         raise node.location.error(f"a reading refers to station {quoted_text(reference)}, which does not exist")
     measured = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
-    missing = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
-    if missing:
-        raise node.location.error(f"a {kind} reading lacks its {missing[0]}")
+    missing_names = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
+    if missing_names:
+        raise node.location.error(f"a {kind} reading lacks its {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
         {name: measured[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
     )

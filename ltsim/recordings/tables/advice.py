@@ -63,9 +63,9 @@ def sample_rows(sheet: TableSheet) -> list[SheetRow]:
     return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
 
 
-def _likely_assignments(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Assignments of columns that the values permit, most likely first: names, a face, then readings or coordinates."""
-    columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
+    columns: list[tuple[str, ...]] = list(zip(*rows, strict=True))
     times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
     rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
     texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
@@ -132,11 +132,11 @@ def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
 
 
 def _possible_conventions(
-    first: Sequence[int], other: Sequence[int], columns: ColumnAssignment
+    first: Sequence[int], angle_columns: Sequence[int], columns: ColumnAssignment
 ) -> list[tuple[str, str]]:
     """Unit and kind of the vertical angle that the numbers permit, most likely first."""
-    vertical = _column_numbers(columns[other[0]])
-    largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[other[0]]))
+    vertical = _column_numbers(columns[angle_columns[0]])
+    largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
     if _is_sexagesimal(first, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
     elif largest < MAX_CIRCLE_RADIANS:
@@ -149,14 +149,16 @@ def _possible_conventions(
 
 
 def _distance_columns(
-    role: str, after: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
+    role: str, angle_columns: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
 ) -> list[list[str]]:
     """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
 
     Distances are in metres where angles are in degrees, minutes and seconds.
     """
     candidates = [
-        i for i in after if _has_fraction(columns[i]) and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
+        i
+        for i in angle_columns
+        if _has_fraction(columns[i]) and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
     ]
     metres = _is_sexagesimal(angle, columns) or (
         candidates and _largest_magnitude(columns[candidates[0]]) < MAX_LENGTH_IN_METRES

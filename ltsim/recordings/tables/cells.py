@@ -236,10 +236,10 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_clock, texts)
     if clocks is not None:
-        return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], dated=False)
+        return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
     read = (_convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders)
-    readings = [_seconds_since_first(stamps, dated=True) for stamps in read if stamps is not None]
+    readings = [_seconds_since_first(stamps, has_date=True) for stamps in read if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
     return readings[0] if readings else (None, "")
@@ -277,9 +277,9 @@ def _without_apostrophe(text: str) -> str:
     return text.strip().removeprefix("'").strip()
 
 
-def _seconds_since_first(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
+def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[list[float], str]:
     first = min(stamps)
-    moment = first.isoformat() if dated else first.time().isoformat()
+    moment = first.isoformat() if has_date else first.time().isoformat()
     return [(stamp - first).total_seconds() for stamp in stamps], moment
 
 

@@ -154,7 +154,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     for column in candidates:
         assigned = column
         if assigned.face and assigned.role not in both:
-            assigned = _column_from_title(assigned.position, assigned.title, faced=False)
+            assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
         if title_words_and_unit(assigned.title)[0] in fallback and not words[assigned.role] <= {*fallback}:
             assigned = replace(assigned, role=FALLBACK_TITLE_ROLES[assigned.role])
@@ -264,10 +264,10 @@ def _normalised_text(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", bare)
 
 
-def _column_from_title(place: int, title: str, *, faced: bool = True) -> TableColumn:
+def _column_from_title(place: int, title: str, *, has_face: bool = True) -> TableColumn:
     name, unit = title_words_and_unit(title)
     role, face = title_role(name), 0
-    numbered = _FACE_NUMBER_PATTERN.fullmatch(name) if faced and not role else None
+    numbered = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
     if numbered is not None:
         role = title_role(numbered.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0

@@ -73,7 +73,7 @@ class ColumnInterpretation:
     azimuth: AzimuthSense
     notes: tuple[str, ...] = ()
 
-    def readings(self, printed: PrintedPointings) -> Floats:
+    def readings(self, pointings: PrintedPointings) -> Floats:
         """Raw ranges [m], azimuths and elevations [rad] (n, 3), equal to those of a native file."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
@@ -85,9 +85,11 @@ class ColumnInterpretation:
             return np.where(up < -QUARTER_CIRCLE_DEG * degree, up + FULL_CIRCLE_DEG * degree, up)
 
         polar = [
-            apply_exactly(printed.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
-            apply_exactly(printed.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth),
-            apply_exactly(printed.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
+            apply_exactly(pointings.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
+            apply_exactly(
+                pointings.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth
+            ),
+            apply_exactly(pointings.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
@@ -129,7 +131,7 @@ def interpret_readings(
 
 def _angle_conventions(
     columns: Mapping[str, TableColumn | None],
-    unit_of: Mapping[str, str],
+    unit_by_column: Mapping[str, str],
     polar: PolarReadings,
     hints: Hints,
     file: Path,
@@ -139,7 +141,7 @@ def _angle_conventions(
     declared: VerticalKind | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
     if column is None:
         declared = "elevation"
-    turn_unit, rise_unit = unit_of["horizontal"], unit_of["vertical"]
+    turn_unit, rise_unit = unit_by_column["horizontal"], unit_by_column["vertical"]
     unit = turn_unit or rise_unit or hints.angle or ""
     # The data are asked in one unit: angles in different ones are brought to degrees first.
     asked, common_unit = polar, None
@@ -181,7 +183,7 @@ def _length_convention(
 
 def _azimuth_sense(
     table: PointingTable,
-    meaning: ColumnInterpretation,
+    interpretation: ColumnInterpretation,
     polar: PolarReadings,
     poses: Mapping[int, StationPoseArrays],
     hints: Hints,
@@ -191,7 +193,7 @@ def _azimuth_sense(
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
-        local = from_polar(meaning.readings(table.pointings))
+        local = from_polar(interpretation.readings(table.pointings))
         if hints.points is not None:
             return azimuth_sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
         azimuth = azimuth_sense_from_poses(local, polar, poses)
@@ -207,7 +209,7 @@ def _azimuth_sense(
         return "clockwise", [
             f"{circle}, which this file alone cannot show (otherwise give --hint azimuth=counter-clockwise)"
         ]
-    if meaning.vertical == "elevation":
+    if interpretation.vertical == "elevation":
         spherical = (
             "azimuths with elevations are interpreted as counter-clockwise (otherwise give --hint azimuth=clockwise)"
         )
@@ -231,9 +233,9 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     if not length:
         length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
     readings = to_polar(printed * SI_PER_UNIT[length])
-    near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
-    if len(near):
-        raise table.pointings.source_location(int(near[0])).error(
+    near_indices = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(near_indices):
+        raise table.pointings.source_location(int(near_indices[0])).error(
             "coincides with the instrument, expected another point"
         )
     _require_separate_frames(table, printed * SI_PER_UNIT[length], file)

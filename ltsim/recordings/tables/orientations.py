@@ -85,8 +85,8 @@ def _is_confirmed(
     return False
 
 
-def _is_equal_direction(angle: float, other: float) -> bool:
-    return abs(_wrap(angle - other)) < MAX_DIRECTION_DIFFERENCE
+def _is_equal_direction(angle: float, other_angle: float) -> bool:
+    return abs(_wrap(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
 
 
 def _wrap(angle: float) -> float:

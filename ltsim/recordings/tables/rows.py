@@ -259,15 +259,15 @@ class _SheetReader:
         self.run = HeaderRun()
         """Rows of pointings that are not converted yet."""
 
-    def read(self, start: int) -> PointingTable:
-        """Pointings of the rows below the header in row `start`; -1 for numbered columns."""
+    def read(self, header_row: int) -> PointingTable:
+        """Pointings of the rows below the header in row `header_row`; -1 for numbered columns."""
         rows = self.sheet.rows
-        for row in rows[: max(start, 0)]:
+        for row in rows[: max(header_row, 0)]:
             self._process_other_line(row)
-        if start < 0:
-            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
+        if header_row < 0:
+            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
-        return self._read_rows(rows[max(start, 0) :])
+        return self._read_rows(rows[max(header_row, 0) :])
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
@@ -279,7 +279,7 @@ class _SheetReader:
                 raise SourceLocation(self.sheet.file, row.line).error(message)
         self.table.positional = True
         self._start_header([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
-        return self._read_rows(self.sheet.rows, every=True)
+        return self._read_rows(self.sheet.rows, reads_all=True)
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
@@ -293,10 +293,10 @@ class _SheetReader:
         self.columns = columns
         self.wanted = [c.position for c in columns if c.role in READING_ROLES]
 
-    def _read_rows(self, rows: Sequence[SheetRow], *, every: bool = False) -> PointingTable:
+    def _read_rows(self, rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
         last = len(rows) - 1
         for i, row in enumerate(rows):
-            measured = (every and not row.is_comment) or self._is_measured(row)
+            measured = (reads_all and not row.is_comment) or self._is_measured(row)
             again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self._start_header(again, row.line)
@@ -306,7 +306,7 @@ class _SheetReader:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert_rows()
-                self.sheet.require_complete_end(len(self.columns), strict=self.table.positional)
+                self.sheet.require_complete_end(len(self.columns), requires_all=self.table.positional)
                 self._add_pointing(row)
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)

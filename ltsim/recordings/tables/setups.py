@@ -88,10 +88,10 @@ def _position_numbers(table: PointingTable) -> Ints:
     return np.array(numbers_of_places)
 
 
-def _position_tolerance(role: str, largest: float, lengths: float) -> float:
+def _position_tolerance(role: str, max_distance: float, lengths: float) -> float:
     if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if largest > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
-    return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
+        return MAX_SAME_ANGLE if max_distance > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
+    return MAX_SAME_PLACE_RATIO * max(lengths, max_distance, 1e-9)
 
 
 MAX_NAMES_IN_SETUP_NOTE = 4
@@ -114,13 +114,13 @@ decimetres.
 OccupationKey = tuple[str, ...]
 
 
-def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
+def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[str]]:
     """Target name of each pointing, common to all set-ups, and notes on the changes.
 
     The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
     Names that differ in case, blanks or leading zeros are one name if no set-up has both.
     """
-    sightings, row = indices_by_value(zip(printed.station, printed.target, strict=True))
+    sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
     bare = [_without_station_name(station, target) for station, target in sightings]
