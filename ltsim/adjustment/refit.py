@@ -166,11 +166,11 @@ def refit_with_effects(
     """
     stay = fixed_constants or [()] * len(effects)
     current = list(effects)
-    fitted = joint = adjustment(effects=current, start=start_state)
+    fitted = joint = adjustment(effects=current, start_state=start_state)
     if not fitted.solution.has_converged:
         sightings = fitted.problem.model.sightings(start_state)
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
-        fitted = joint = adjustment(effects=current, start=start_state)
+        fitted = joint = adjustment(effects=current, start_state=start_state)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(MAX_SHAPE_STEPS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
@@ -179,7 +179,7 @@ def refit_with_effects(
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjustment(effects=[*current, *flat], start=fitted.state)
+        joint = adjustment(effects=[*current, *flat], start_state=fitted.state)
         if not joint.solution.has_converged:
             break
         first = sum(len(effect.parameters) for effect in current)
@@ -207,7 +207,7 @@ def _damped_step(
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
-        tried = adjustment(effects=moved, start=last_adjustment.state)
+        tried = adjustment(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 + MAX_CHI2_INCREASE:
             return moved, tried
     return None
