@@ -92,7 +92,7 @@ def _effect_of_constant(constant: Parameter) -> str:
 
 
 EFFECT_BY_CAUSE = {
-    ("constant-offset", "distance"): "range-offset",
+    ("constant-offset", "distance"): "reflector-constant",
     ("constant-offset", "elevation"): "vertical-index",
     ("scale-error", "distance"): "range-scale",
     ("orientation", "azimuth"): "station-bump",
