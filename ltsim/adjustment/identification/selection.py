@@ -148,13 +148,13 @@ class CauseSelection:
         more specific tests.
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
-        omitted = any(isinstance(change, ReferenceOmission) for change in changes)
-        others = omitted or any(self.fit.problem.marks.mark_names)
-        doubtful = quieter or others or (_has_general_misfit(self.fit) and bool(self.fit.is_outlier.any()))
+        is_quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
+        has_omissions = any(isinstance(change, ReferenceOmission) for change in changes)
+        others = has_omissions or any(self.fit.problem.marks.mark_names)
+        doubtful = is_quieter or others or (_has_general_misfit(self.fit) and bool(self.fit.is_outlier.any()))
         causes = self.selected_hypotheses
-        sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
-        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
+        is_certain = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
+        return bool(changes) and is_certain and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
 
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
