@@ -81,7 +81,7 @@ class Adjustment(Result):
     duplicate_rows: int = 0
     """Number of rows that repeat others in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on the simple causes that were identified and are in the model."""
+    """Sentences on the identified simple causes, with which the network is consistent."""
     datum: InnerDatum | None = None
     """Datum of the covariances; None for that of the factor (pose of the first station)."""
 

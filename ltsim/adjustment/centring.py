@@ -17,13 +17,10 @@ from ltsim.adjustment.significance import GLOBAL_LEVEL, SINGLE_LEVEL
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.occupations import days_of_pointings
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
-DAY_COLUMN = "date"
-"""Column of a recording with the day of each pointing."""
-DAY_LENGTH_S = 86_400.0
-"""Length [s] of a day."""
 MAX_CENTRING_ERRORS = 6
 """Largest number of estimated centring errors: a network with more has to be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
@@ -98,15 +95,6 @@ class CentringErrors:
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
             f"with them in the model chi2/dof falls from {before} to {after}{suffix}"
         )
-
-
-def days_of_pointings(recording: Recording) -> tuple[str, ...]:
-    """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
-    if DAY_COLUMN in recording.labels:
-        return recording.labels[DAY_COLUMN]
-    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
-        return ()
-    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
 def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:

@@ -91,8 +91,12 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
         and is_explained
         and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum()))
     ):
-        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; "
-        return Verdict(VerdictCase.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
+        rest_text = "the other readings agree with the declared noise."
+        if adjustment.cause_sentences:
+            sentence = f"{phrase} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
+            return Verdict(VerdictCase.SINGLE_ERRORS, sentence[0].upper() + sentence[1:], False)
+        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; {rest_text}"
+        return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
             f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "

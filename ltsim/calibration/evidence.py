@@ -72,6 +72,15 @@ def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> 
     return keeps @ score, keeps @ information
 
 
+def log_marginal_likelihood(likelihood: LikelihoodInformation, mean: Floats, prior_covariance: Floats) -> float:
+    """Log of the likelihood exp(b'x - x'N x / 2) averaged over x ~ N(`mean` (p,), `prior_covariance` (p, p))."""
+    information, vector = likelihood.information, likelihood.information_vector
+    score = vector - information @ mean
+    keeps = np.eye(len(score)) + information @ prior_covariance
+    gain = score @ prior_covariance @ np.linalg.solve(keeps, score)
+    return float(vector @ mean + 0.5 * (gain - mean @ information @ mean - np.linalg.slogdet(keeps)[1]))
+
+
 def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
     """Forward selection with exchange: selected changes, and the `scores` (h,) given the others when each was selected.
 

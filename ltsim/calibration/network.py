@@ -220,8 +220,7 @@ def _adjust_with_options(
         fit = selection.fit
         how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
         adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
-        causes = tuple(cause_sentence(fit, choice.hypothesis) for choice in selection.selected_hypotheses)
-        adjustment = replace(adjustment, cause_sentences=causes)
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
         require_usable(adjustment)
         return _require_available_datum(adjustment, datum)
     how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
@@ -235,7 +234,14 @@ def _adjust_with_options(
         )
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
     require_usable(adjustment)
+    if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
     return _require_available_datum(adjustment, datum)
+
+
+def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
+    """Sentences on the selected causes, the most certain first."""
+    return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:

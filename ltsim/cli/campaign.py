@@ -73,7 +73,6 @@ def campaign(
     require_packages()
     # Slow imports, which no other verb should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
-    from ltsim.campaigns.kernels import is_compiled
     from ltsim.campaigns.results import CampaignResults
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.store import CampaignFolder
@@ -83,8 +82,7 @@ def campaign(
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    if not is_compiled():
-        terminal.print_note("First campaign: compiling the solver takes about 30 s.")
+    terminal.print_note_on_compilation()
     try:
         with terminal.show_progress("trials", total) as advance:
             outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)

@@ -214,13 +214,10 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    from ltsim.campaigns.kernels import is_compiled  # slow to import
-
     for name, place in DEMO_OUTPUTS.items():
         place.check(out / name, True)
     outcomes = []
-    if not is_compiled():
-        terminal.print_note("First run: compiling the solver takes about 30 s.")
+    terminal.print_note_on_compilation()
     for number, (title, step) in enumerate(DEMO_STEPS.items(), start=1):
         began = time.perf_counter()
         with terminal.show_progress(title):

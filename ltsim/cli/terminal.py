@@ -59,6 +59,13 @@ class Terminal:
         if not self.quiet:
             streams.write_line(text, sys.stderr)
 
+    def print_note_on_compilation(self) -> None:
+        """Output of the time that the solver of campaigns takes to compile, if it has not been compiled."""
+        from ltsim.campaigns.kernels import is_compiled  # slow to import
+
+        if not is_compiled():
+            self.print_note("First campaign on this machine: compiling the solver takes about 10 s.")
+
     def print_notes(self, notes: Iterable[str]) -> None:
         """Output of notes on standard error: interpretations of ambiguous input, and missing data."""
         for note in notes:

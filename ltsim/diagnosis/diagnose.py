@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import ceil
 
 import numpy as np
 
@@ -17,21 +16,20 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
-from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio
-from ltsim.diagnosis.findings import ExplainedRecording, name_probabilities
+from ltsim.diagnosis.findings import ExplainedRecording
 from ltsim.diagnosis.findings_from_tests import instrument_finding
 from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
-from ltsim.diagnosis.hypotheses import Model, most_probable_name
+from ltsim.diagnosis.hypotheses import Model, most_probable_name, name_probabilities
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,
     HistoryExpectation,
     find_contradictions,
 )
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
-from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS
 from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
@@ -109,17 +107,17 @@ def diagnose(
         use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
-    trials = max(MIN_SIMULATED_RECORDINGS, ceil(1.0 / level))
-    case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
-    beginning, detection, model, fitted = _search_recording(case, level, comparison)
+    case = SelectionState(baseline, use, seed, level, tests_ordinary_constants=history is None)
+    detection = detect(case.searcher, case.noise_bank)
+    mismatch = detection.p_value < level
+    beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
     if selection is not None and model.members:
         restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
-            del case, beginning, detection, model, fitted  # their memory is for the second search
+            del case, beginning, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, is_restored=restored)
-            case = SelectionState(baseline, use, seed, trials, tests_ordinary_constants=history is None)
-            beginning, detection, model, fitted = _search_recording(case, level, comparison)
-    mismatch = detection.p_value < level
+            case = SelectionState(baseline, use, seed, None, tests_ordinary_constants=history is None)
+            beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
     final_adjustment = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, final_adjustment, comparison)
     constant_findings = [
@@ -161,13 +159,12 @@ ConstantComparison = Callable[[Adjustment, float], list[ConstantContradiction]]
 
 
 def _search_recording(
-    case: SelectionState, alpha: float, comparison: ConstantComparison
-) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Detection, Model, Refit]:
-    """Space and hypotheses of the initial network, its detection result, the selected model if rejected, its refit."""
+    case: SelectionState, comparison: ConstantComparison, *, mismatch: bool
+) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
+    """Space and hypotheses of the initial network, the model (empty without a `mismatch`), and its refit."""
     beginning = case.space, case.searcher.catalogue_signatures
-    detection = detect(case.searcher, case.noise_bank)
-    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if detection.p_value < alpha else case.empty_model
-    return beginning, detection, *_refit_model(case, model)
+    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if mismatch else case.empty_model
+    return beginning, *_refit_model(case, model)
 
 
 def _contradicting_constants(
@@ -203,7 +200,10 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
-    if contradicting and sum(contradiction.evidence for contradiction in contradicting) > model.score:
+    if (
+        contradicting
+        and contradicting[0].joint_evidence - model.score > (len(contradicting) - len(model.members)) * threshold
+    ):
         case.release_priors(contradicting)
         model = case.searcher.select_model(threshold, requires_member=False)
     return _alternate_mean_and_variance(case, model, threshold)

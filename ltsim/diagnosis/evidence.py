@@ -29,6 +29,7 @@ from ltsim.calibration.evidence import (
     size_weights_and_constants,
 )
 from ltsim.core.arrays import Bools, Floats, Ints, Singles
+from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -106,6 +107,27 @@ def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, factor:
     """
     ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - redundancy * np.log(factor))
     return ratio
+
+
+def log_evidence_of_wrong_readings(
+    space: ResidualSpace, residual: Floats, redundancy: Floats, log_prior: float
+) -> float:
+    """Log evidence of several wrong readings, each with an error of its own.
+
+    Readings whose own log evidence is positive are taken as wrong, whatever the others are.
+
+    Parameters
+    ----------
+    residual, redundancy : (m,) float
+        Whitened residuals and redundancies given a model.
+    log_prior : float
+        Log prior of a wrong reading, all readings together.
+    """
+    sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
+    scale = (sizes / space.sigma)[space.used_readings]
+    score, strength = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
+    values = log_evidence((score**2)[:, None], strength[:, None]) + log_prior - np.log(len(scale))
+    return float(np.maximum(values, 0.0).sum())
 
 
 def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:

@@ -6,21 +6,27 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement, target_distortion
-from ltsim.diagnosis.evidence import active_observables, coefficient_posterior, log_bayes_factor_discrepancy
+from ltsim.diagnosis.evidence import (
+    active_observables,
+    coefficient_posterior,
+    log_bayes_factor_discrepancy,
+    log_evidence_of_wrong_readings,
+)
 from ltsim.diagnosis.forms import response_curve
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, name_probabilities
 from ltsim.diagnosis.instruments import MIN_TESTED_INFORMATION
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_SAME_OBSERVABLE
-from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, ParameterEstimate
+from ltsim.diagnosis.prior import P_SAME_OBSERVABLE, log_prior_share
+from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import (
@@ -32,6 +38,7 @@ from ltsim.diagnosis.words import (
 )
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
+from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -41,8 +48,6 @@ from ltsim.physics.laws.words import covariate_value_text, law_suffix, region_te
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MAX_EQUIVALENTS = 3
-"""Largest number of reported equivalents."""
 MAX_REPORTED_NOISE_SIZES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
 MAX_LISTED_READINGS = 4
@@ -117,42 +122,46 @@ class ExplainedRecording:
     def withheld_keys(self) -> tuple[str, ...]:
         """Keys of improbable members, which are in the model but not reported.
 
-        The strongest is reported if there is no other finding.
+        The strongest is reported if there is no other finding, or if it is certain that there is a cause.
         """
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
-            self.p_real(i) < MIN_PROBABLE and (self.has_test_findings or gains[i] < max(gains))
+            self.p_real(i) < MIN_PROBABLE
+            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any(i) < 1.0 - FAMILY_LEVEL))
             for i in range(len(members))
         ]
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
     def p_real(self, member: int) -> float:
-        """Probability that a member is real, whatever its name.
+        """Probability that a member is real, whatever its name, and that no wrong readings are the cause in its place.
 
-        It is 0 if no size exceeds `MIN_SIGNIFICANT_SIGMAS` standard deviations, or if it has more parameters than the
-        effective number of readings that support it (participation ratio), or if neither place, observable nor form is
-        determined.
+        It is 0 if no size exceeds `MIN_SIGNIFICANT_SIGMAS` standard deviations and the decrease of chi-square is not
+        significant either, or if neither place, observable nor form is determined.
         """
-        effect, gain = self.refit.effects[member], self.squared_residual_decreases[member]
+        effect, gain = self.refit.effects[member], float(self.squared_residual_decreases[member].sum())
         sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
-        is_joint = len(sizes) > 1 and float(gain.sum()) > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
-        has_size = (
-            isinstance(effect, EmpiricalLaw)
-            or is_joint
-            or any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in sizes)
-        )
-        p_located = self.p_located[member]
-        has_scope = (
-            self._scope(effect) != FindingScope(covariates=covariate_file_names(effect.covariates))
-            or p_located >= MIN_PROBABLE
-        )
-        # effective number of readings that carry the gain (participation ratio)
-        n_effective = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), MIN_TESTED_INFORMATION))
-        return (
-            max(self.probability(member), p_located)
-            if has_size and has_scope and n_effective >= n_constants(effect)
-            else 0.0
-        )
+        is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
+        is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in sizes)
+        p_located, anywhere = self.p_located[member], FindingScope(covariates=covariate_file_names(effect.covariates))
+        is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
+        if not (is_significant and is_specific):
+            return 0.0
+        return max(self.probability(member), p_located) * (1.0 - self._p_wrong_readings(member))
+
+    def p_any(self, member: int) -> float:
+        """Probability of any cause in place of a member, other than wrong readings, each for itself."""
+        return (1.0 - self.rankings[member].p_none) * (1.0 - self._p_wrong_readings(member))
+
+    def _p_wrong_readings(self, member: int) -> float:
+        """Probability that wrong readings, each for itself, are the cause in place of a member."""
+        searcher, model = self.state.searcher, self.model
+        others = searcher.model_without(model, member)
+        if isinstance(model.members[member].effect, Outlier):
+            return 0.0
+        redundancy = searcher.space.redundancy - np.sum(others.basis**2, axis=1)
+        prior = log_prior_share("named", len(searcher.catalogue_signatures.families))
+        rival = log_evidence_of_wrong_readings(searcher.space, others.residual, redundancy, prior)
+        return float(expit(rival - (model.score - others.score)))
 
     def finding(self, member: int) -> Finding:
         """Finding of a member, a mean shift, given the others."""
@@ -363,14 +372,6 @@ def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sigh
         hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, sizes, 0.0)) != unit_variance
     ).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
-
-
-def name_probabilities(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
-    """Probability of a name, and the most probable other names that are not excluded."""
-    equivalents = [
-        Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
-    ]
-    return chances.get(name, 0.0), tuple(sorted(equivalents, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
 
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:

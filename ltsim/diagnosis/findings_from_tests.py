@@ -7,7 +7,7 @@ from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
-from ltsim.diagnosis.findings import name_probabilities
+from ltsim.diagnosis.hypotheses import name_probabilities
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
@@ -100,6 +100,7 @@ EFFECT_BY_CAUSE = {
     ("station-drift", "position"): "station-settling",
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
+    ("centring", "position"): "nest-lift",
     ("names", "position"): "target-swap",
     ("names", "point"): "target-swap",
     ("unit", "position"): "wrong-unit",

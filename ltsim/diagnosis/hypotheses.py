@@ -10,13 +10,17 @@ from itertools import product
 import numpy as np
 
 from ltsim.adjustment.residual_space import orthonormal_columns
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY, MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
+from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import CandidateEffect
+
+MAX_EQUIVALENTS = 3
+"""Largest number of reported equivalents."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,11 @@ class Ranking:
         """Log sum of the evidence of all hypotheses and none."""
         return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), self.log_evidence_unmodelled, 0.0]))
 
+    @property
+    def p_none(self) -> float:
+        """Posterior probability that no hypothesis is true, nor any unmodelled cause."""
+        return float(np.exp(-self._log_evidence_sum))
+
     @cached_property
     def p_unmodelled(self) -> float:
         """Posterior probability of an unmodelled cause."""
@@ -206,6 +215,14 @@ def most_probable_name(probabilities: Mapping[str, float]) -> str:
         if probabilities.get("unknown", 0.0) > sum(by_name.values())
         else max(by_name, key=lambda name: by_name[name])
     )
+
+
+def name_probabilities(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+    """Probability of a name, and the most probable other names that are not excluded."""
+    others = [
+        Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
+    ]
+    return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
 
 
 MAX_EVIDENCE_DEFICIT = 6.0

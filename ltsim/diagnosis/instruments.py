@@ -17,6 +17,7 @@ from ltsim.calibration.evidence import (
     forward_select,
     likelihood_information,
     log_evidence,
+    log_marginal_likelihood,
     log_sum_exp,
     score_test,
     with_plausible_priors,
@@ -75,7 +76,10 @@ class ConstantContradiction:
     difference, sigma : float
         [SI], from the other instruments, from zero for a corrected instrument, or from its history.
     evidence : float
-        Log marginal likelihood ratio, prior odds included.
+        Log marginal likelihood ratio given the other contradictions, prior odds included.
+    joint_evidence : float
+        Log evidence of all contradictions of the recording together against the prior of the adjustment, prior odds
+        included: comparable with that of a model of effects.
     p_value : float
         Two-sided p-value of the difference, corrected for all constants compared.
     against : str
@@ -89,6 +93,7 @@ class ConstantContradiction:
     difference: float
     sigma: float
     evidence: float
+    joint_evidence: float
     p_value: float
     against: str
     rivals: Mapping[Parameter, float]
@@ -208,13 +213,29 @@ def compare_constants(
             contradictions.append(k)
     if not contradictions:
         return []
+    changed = [
+        np.log(share)
+        + log_marginal_likelihood(
+            likelihood,
+            expectation.mean,
+            expectation.covariance + size**2 * ways[contradictions].T @ ways[contradictions],
+        )
+        for size, share in SIZE_PRIOR.items()
+    ]
+    unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
+    joint = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(information[np.ix_(contradictions, contradictions)])
     gap, sigma = covariance @ ways[contradictions] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
         _contradiction_of_change(
-            adjustment, expectation.changes, odds_by_change[k], k, float(g * u), float(s * u), float(c)
+            adjustment,
+            expectation.changes,
+            odds_by_change[k],
+            k,
+            joint + odds * len(contradictions),
+            *map(float, (g * u, s * u, c)),
         )
         for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
     ]
@@ -225,6 +246,7 @@ def _contradiction_of_change(
     changes: Sequence[ConstantChange],
     logs: Floats,
     change_index: int,
+    joint_evidence: float,
     gap: float,
     sigma: float,
     chance: float,
@@ -239,6 +261,7 @@ def _contradiction_of_change(
         difference=gap,
         sigma=sigma,
         evidence=float(logs[change_index]),
+        joint_evidence=joint_evidence,
         p_value=chance,
         against=change.reference_text,
         rivals={

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,12 @@ from ltsim.solve.projection import BasisProjection
 
 MIN_SIMULATED_RECORDINGS = 300
 """Smallest number of simulated recordings without any effect: p-values down to 1 / 301."""
+MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
+"""Smallest number of simulated recordings of a large network (cost): p-values down to 1 / 100."""
 N_GRAM_DRAWS = 200
 """Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
 MAX_EXACT_UNKNOWNS = 500
 """Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
-
-
 N_RESIDUALS_PER_PROJECTION = 50
 """Number of simulated residuals that are projected at a time."""
 
@@ -61,9 +62,7 @@ class NullEnsemble:
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
         """Ensemble of a residual space, with `simulated_residuals` simulated recordings."""
-        projection = space.projector
-        small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
-        basis = projection.basis if isinstance(projection, BasisProjection) and small else None
+        basis = exact_basis(space)
         others = N_GRAM_DRAWS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + trials + others), dtype=np.float32)
         vectors[:, 0] = space.residuals
@@ -121,6 +120,19 @@ class NullEnsemble:
             if self.gram_is_monte_carlo
             else products - squares
         )
+
+
+def exact_basis(space: ResidualSpace) -> Floats | None:
+    """Orthonormal basis (m, u) of the estimated parameters; None in a network that is too large for it."""
+    projection = space.projector
+    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
+    return projection.basis if isinstance(projection, BasisProjection) and is_small else None
+
+
+def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
+    """Number of simulated recordings for a test of false-alarm rate `level`."""
+    usual = MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if exact_basis(space) is None else MIN_SIMULATED_RECORDINGS
+    return max(usual, ceil(1.0 / level))
 
 
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:

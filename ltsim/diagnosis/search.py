@@ -108,6 +108,7 @@ class Searcher:
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
         self.is_large_network = self.null_ensemble.gram_is_monte_carlo
         self._n_refined = N_REFINED_IN_LARGE_NETWORK if self.is_large_network else N_REFINED
+        self._refines_every_kind = True
         if catalogue_signatures is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
             catalogue_signatures = CatalogueSignatures.from_space(
@@ -124,14 +125,14 @@ class Searcher:
     def without_rows(self, rows: Ints) -> Searcher:
         """Search without the rows (f,), each of which has a separate error, in the reduced form for large networks.
 
-        Screening uses the Gram matrices of the whole network, evaluation those without the rows; neither depends on the
-        readings.
+        The best law of each kind is not evaluated, which would take most of the time and hardly changes predictions.
+        Screening uses Gram matrices of all rows, evaluation those without the rows; neither depends on the readings.
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
         rest.space, rest.is_large_network = self.space.with_signatures(unit), True
-        rest._n_refined = N_REFINED_IN_LARGE_NETWORK
+        rest._n_refined, rest._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
         rest.null_ensemble = self.null_ensemble.with_model(rest.space.residuals, self.empty_model.basis)
         rest.empty_model = Model((), (), (), rest.space.residuals)
         rest._rankings, rest._projected_signatures = {}, OrderedDict()
@@ -249,7 +250,7 @@ class Searcher:
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _law_hypotheses(self, hits: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
-        """Screened laws: the best ones, and the best of each response and kind of regressor, in all forms.
+        """Screened laws: the best ones, and usually the best of each response and kind of regressor, in all forms.
 
         Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
         """
@@ -266,7 +267,7 @@ class Searcher:
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
-            chosen = len(evaluated) < self._n_refined or kind not in kinds
+            chosen = len(evaluated) < self._n_refined or (self._refines_every_kind and kind not in kinds)
             if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(hits[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)

@@ -16,7 +16,7 @@ from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
-from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS
+from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.signature import CandidateEffect, Signature
 from ltsim.physics.model.measurement import NetworkState
@@ -31,14 +31,14 @@ class SelectionState:
     """State of the model selection on a recording without blunders.
 
     `baseline` is the ordinary adjustment, the start of all others, `is_used` (n, 3) flags of the used readings,
-    `reading_sigmas` (n,
-    3) their standard deviations, `trials` the number of simulated recordings of the search.
+    `reading_sigmas` (n, 3) their standard deviations, `level` the false-alarm rate of the search; None for a search
+    that is not judged.
     """
 
     baseline: Adjustment
     is_used: Bools
     seed: int
-    trials: int = MIN_SIMULATED_RECORDINGS
+    level: float | None = 0.05
     tests_ordinary_constants: bool = True
     """True if constants of the ordinary calibration are hypotheses too."""
     reading_sigmas: Floats = field(init=False)
@@ -58,7 +58,7 @@ class SelectionState:
         if self._searcher is None:
             before = self._ranked_noise
             cards = None if before is None else before.catalogue_signatures.with_weights_of(before.space, self.space)
-            trials = self.trials if before is None else 0
+            trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
             self._ranked_noise = None
             self._searcher = Searcher(
                 self.space,

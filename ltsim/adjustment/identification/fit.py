@@ -11,11 +11,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import (
     estimate_variance_factor,
+    log_occam_factor_of_centring,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of,
 )
 from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
@@ -27,6 +29,7 @@ from ltsim.adjustment.identification.model_changes import (
     subtract_shifts,
 )
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
+from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import relax_exact_references
@@ -155,8 +158,11 @@ class NetworkFit:
                 yield h, h.model_change, slice(first, first := first + len(h.model_change.effect.parameters))
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
-        at = next(at for h, _, at in self.shifts_with_slices if h is hypothesis)
+        """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
+        centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
+        slices = [(h, at) for h, _, at in self.shifts_with_slices]
+        slices += zip(reversed(centrings), reversed(self.problem.model.centring_columns), strict=False)
+        at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
 
     def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
@@ -345,16 +351,18 @@ class NetworkFit:
         change, sightings = hypothesis.model_change, self.adjustment.sightings
         if isinstance(change, ReferenceOmission):
             return float(np.abs(self.misclosure_of(change.reference_value)).max())
+        if isinstance(change, CentringChange):
+            return float(np.abs(self.estimate(hypothesis)[0]).max())
         if not isinstance(change, ReadingShiftChange):
             return 0.0
         displacements = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
-        return float(np.max(displacements * _displacement_per_reading(sightings)))
+        return float(np.max(displacements * displacement_per_reading(sightings)))
 
     @property
     def is_gross_reading(self) -> Bools:
         """Flags (n, 3) of the readings with deviations beyond any error of a tracker."""
         return (
-            np.abs(np.nan_to_num(self.residuals)) * _displacement_per_reading(self.adjustment.sightings)
+            np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
             > MAX_TRACKER_ERROR
         )
 
@@ -369,26 +377,23 @@ class NetworkFit:
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
-        total = -0.5 * self.solution.sum_of_squares + sum(h.log_prior for h in self.hypotheses)
-        total += self.outlier_log_evidence
-        for h in self.hypotheses:
-            if isinstance(h.model_change, ReadingShiftChange):
-                total += float(
-                    log_occam_factor_of_shift(self.length_in_sigmas(h), len(h.model_change.effect.parameters))
-                )
-            elif isinstance(h.model_change, NoiseFactor):
-                chosen = h.model_change.reading_mask & self.problem.used_readings
-                redundancy = np.nansum(self.redundancy[chosen])
-                ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
-                total -= float(np.sum(np.nan_to_num(self.redundancy[chosen]) * np.log(ratio)))
-                total += float(log_occam_factor_of_variance(redundancy))
-            elif isinstance(h.model_change, ReferenceOmission):
-                value = h.model_change.reference_value
-                total += float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
-        return total
+        total = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
+        return total + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
-
-def _displacement_per_reading(sightings: Sightings) -> Floats:
-    """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
-    range_ = sightings.range_
-    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
+    def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
+        """Log of the Occam factor of a hypothesis in the model, with the determinant of a change of the noise."""
+        change = hypothesis.model_change
+        if isinstance(change, ReadingShiftChange):
+            return float(log_occam_factor_of_shift(self.length_in_sigmas(hypothesis), len(change.effect.parameters)))
+        if isinstance(change, NoiseFactor):
+            chosen = change.reading_mask & self.problem.used_readings
+            ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
+            redundancy = np.nan_to_num(self.redundancy[chosen])
+            return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
+        if isinstance(change, CentringChange):
+            covariance = self.estimate(hypothesis)[1]
+            return log_occam_factor_of_centring(covariance, change.centring.sigma_mm * MILLIMETRE)
+        if isinstance(change, ReferenceOmission):
+            value = change.reference_value
+            return float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
+        return 0.0

@@ -14,6 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fitting import fit_point
+from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
     estimate_variance_factor,
     log_occam_factor_of_shift,
@@ -75,6 +76,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     for space, behind in spaces:
         offers += [(gain + behind, h) for gain, h in _reference_hypotheses(fit, space.adjustment)]
         offers += [(gain + behind, h) for gain, h in _length_scale_hypothesis(fit, space)]
+        offers += [(gain + behind, h) for gain, h in centring_hypotheses(fit, space)]
     if fit.is_outlier.any():
         offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
         offers += [
@@ -82,6 +84,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
             for h in reference_omissions(fit)
             if h.targets
         ]
+        offers += local_centring_hypotheses(fit)
     offers += _noise_hypotheses(fit)
     if fit.is_outlier.sum() > MIN_OUTLIERS_FOR_TRIAL:
         offers += _distance_trial_hypotheses(fit, every)

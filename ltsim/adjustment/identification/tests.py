@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
+from ltsim.adjustment.identification.centring_errors import common_displacement
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseKind,
+    CentringChange,
     CoordinateExchange,
     Hypothesis,
     NoiseFactor,
@@ -18,7 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
+from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
@@ -27,8 +30,6 @@ from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
-
-ChangeType = TypeVar("ChangeType")
 
 
 class CausePlace(Entry):
@@ -86,16 +87,6 @@ class CauseTest(Entry):
 
 MAX_LISTED_OUTLIERS = 20
 """Largest number of outliers with a separate test, the largest first."""
-SMR_RADIUS_DIFFERENCES = {
-    12.7e-3: ("0.5 inch", "1.5 inch"),
-    7.94e-3: ("7/8 inch", "1.5 inch"),
-    4.76e-3: ("0.5 inch", "7/8 inch"),
-}
-"""Differences of the radii of common SMRs [m], with the smaller and the larger one."""
-PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
-"""Constants of common prisms [m]."""
-MAX_NOMINAL_DIFFERENCE = 60e-6
-"""Tolerance [m] between an offset and a nominal size, for an offset with a smaller uncertainty."""
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
@@ -118,6 +109,11 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         size = {"estimate": miss / factor, "unit": unit}
     elif isinstance(h.model_change, NoiseFactor):
         size = {"estimate": estimated_noise_factor(fit, h)}
+    elif isinstance(h.model_change, CentringChange):
+        rank = len(fit.estimate(h)[0])
+        size = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
+        if (common := common_displacement(fit, h)) is not None:
+            size |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
@@ -132,7 +128,7 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         if s > MIN_REPORTED_PROBABILITY
     )
     return CauseTest(
-        kind=h.kind,
+        kind=reported_kind(fit, h),
         acts_on=h.acts_on,
         where=CausePlace(stations=h.stations, targets=h.targets),
         statistic=drop,
@@ -144,6 +140,13 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         sentence=cause_sentence(fit, h),
         **size,
     )
+
+
+def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
+    """Kind of an accepted hypothesis in the table of tests: displacements of one length are another reflector."""
+    if isinstance(hypothesis.model_change, CentringChange) and common_displacement(fit, hypothesis) is not None:
+        return "reflector-radius"
+    return hypothesis.kind
 
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
@@ -198,6 +201,12 @@ REFERENCE_PHRASES = {
 
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis with its usual causes."""
+    is_centring = isinstance(hypothesis.model_change, CentringChange)
+    return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
+
+
+def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Sentence on any cause but centring errors."""
     at = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.name
@@ -213,6 +222,7 @@ def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         verb, them = ("are", "them") if plural else ("is", "it")
         phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.name}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
+    assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate(hypothesis)
     estimate = _estimated_size(hypothesis, values, covariance)
     size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
@@ -248,6 +258,29 @@ def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     return f"Target {at} moved {interval_text}, by {size}."
 
 
+def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Sentence on centring errors: displacements of one length at a set-up, or of random size."""
+    assert isinstance(hypothesis.model_change, CentringChange)
+    size = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm (standard deviation)"
+    if hypothesis.targets:
+        what = f"The reflector on {hypothesis.targets[0]} is displaced at random at each set-up"
+        return f"{what}, by {size} along each axis: check its centring."
+    at = hypothesis.stations[0]
+    common = common_displacement(fit, hypothesis)
+    if common is None:
+        return (
+            f"The reflectors seen from {at} are displaced from their targets at random, by {size} along each axis: "
+            f"they were not in their places (centring), or {at} has errors that repeat in all rounds."
+        )
+    text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
+    side = "away from" if common.length > 0 else "towards"
+    cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
+    return (
+        f"At {at} the centres of the SMRs are displaced by one length of {text}, {side} their nests: {cause}. "
+        "Declare the normals of the nests (nest_normal), so that it is estimated along them."
+    )
+
+
 def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Text of the rows between which a change happened."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
@@ -268,40 +301,6 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 def _number_text(value: float) -> str:
     """Number with four digits, large ones without exponent."""
     return f"{float(f'{value:.4g}'):.12g}"
-
-
-def usual_offset_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of an offset of distances [m]; empty for none."""
-    pairs = {
-        size: f"the radii of a {small} and a {large} SMR differ by this"
-        for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
-    }
-    return _nearest_nominal({**pairs, **PRISM_CONSTANTS}, value, sigma) or ""
-
-
-def usual_smr_text(value: float, sigma: float) -> str:
-    """Text of the SMR that was used in place of another, from the displacement [m] of its centre from the nest.
-
-    It is empty for none.
-    """
-    pair = _nearest_nominal(SMR_RADIUS_DIFFERENCES, value, sigma)
-    if pair is None:
-        return ""
-    used, assumed = reversed(pair) if value > 0 else pair
-    return f"a {used} SMR in place of a {assumed} one"
-
-
-def _nearest_nominal(nominal_sizes: Mapping[float, ChangeType], value: float, sigma: float) -> ChangeType | None:
-    """Entry of the usual size [m] within `MAX_NOMINAL_DIFFERENCE` of a value.
-
-    None if there is none or the sigma is larger.
-    """
-    close = [
-        entry
-        for size, entry in nominal_sizes.items()
-        if abs(abs(value) - size) < MAX_NOMINAL_DIFFERENCE and sigma < MAX_NOMINAL_DIFFERENCE
-    ]
-    return close[0] if close else None
 
 
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:

@@ -1,9 +1,8 @@
 """Forward model: scene, construction and effects give predicted readings and their derivatives."""
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
@@ -12,57 +11,23 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
 from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z, smallest_rotation
+from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
-from ltsim.physics.model.nuisances import HeadHeights, head_heights, read_shared_errors, refraction_unknown
+from ltsim.physics.model.nuisances import (
+    CentringErrors,
+    HeadHeights,
+    centring_errors,
+    head_heights,
+    read_shared_errors,
+    refraction_unknown,
+)
+from ltsim.physics.model.state import NetworkState as NetworkState, Prediction as Prediction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
-
-
-@dataclass(frozen=True)
-class NetworkState:
-    """State of a network: all poses, targets and parameters that an adjustment estimates; SI, network frame."""
-
-    station_positions: Floats
-    """Positions of the instruments, (S, 3)."""
-    station_rotations: Floats
-    """Instrument frame to network frame, (S, 3, 3)."""
-    target_points: Floats
-    """Coordinates of the targets, (T, 3)."""
-    instrument_parameters: Floats
-    """Construction parameters of each instrument, (I, p)."""
-    extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """Parameters of the additional effects, (q,)."""
-
-    def with_increments(
-        self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
-    ) -> Self:
-        """State after increments; `pose_increments` (S, 6) is translation and rotation vector in the network frame."""
-        return type(self)(
-            self.station_positions + pose_increments[:, :3],
-            from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
-            self.target_points + point_increments,
-            self.instrument_parameters + instrument_increments,
-            self.extra_parameters + extra_increments,
-        )
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted raw readings (n, 3) and their derivatives.
-
-    The derivatives are by_pose (n, 3, 6), by_target (n, 3, 3), by_instrument (n, 3, p) and by_extra (n, 3, q).
-    """
-
-    readings: Floats
-    pose_derivatives: Floats
-    target_derivatives: Floats
-    instrument_derivatives: Floats
-    extra_derivatives: Floats
 
 
 def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
@@ -180,13 +145,26 @@ class MeasurementModel:
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
 
     @cached_property
+    def centring_errors(self) -> tuple[CentringErrors, ...]:
+        """Centring errors of the targets that the set-up declares; the last nuisance errors."""
+        return centring_errors(self.recording)
+
+    @property
+    def centring_columns(self) -> tuple[slice, ...]:
+        """Slices of the additional parameters (q,) that belong to each of `centring_errors`."""
+        sizes = [len(errors.parameters) for errors in self.centring_errors]
+        ends = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
+
+    @cached_property
     def nuisance_errors(self) -> tuple[Signature, ...]:
-        """Nuisance errors with a prior: heights of heads, reflectors, errors shared by readings, refraction."""
+        """Nuisance errors with a prior: heights of heads, reflectors, shared errors, refraction, centring."""
         return (
             *self.head_heights,
             *self.incidence_errors,
             *read_shared_errors(self.recording),
             *refraction_unknown(self.recording),
+            *self.centring_errors,
         )
 
     @property

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import MISSING_TEXT, number_text
