@@ -44,7 +44,7 @@ SIGMA_OF_UNIT_SIZE = {
 
 
 LENGTHS_SOURCE = "known lengths"
-"""Name of the source: declared reference lengths."""
+"""Name of the uncertainty source of the declared reference lengths."""
 CONTROL_SOURCE = "control points"
 """Name of the source: control points."""
 PRIOR_SOURCE = "specification"

@@ -77,7 +77,7 @@ class LayoutInformation:
     def scaled_covariance(self) -> Floats:
         """Covariance of the instrument parameters in units of the prior sigmas, (p, p).
 
-        Without readings the identity.
+        It is the identity without readings.
         """
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 

@@ -262,7 +262,7 @@ def feasibility_and_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan, common to search, moves, planner and page."""
+    """Verdict on a layout by the rules and tolerances of its plan; search, planner and page use the same one."""
 
     is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""

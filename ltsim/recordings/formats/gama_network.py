@@ -75,7 +75,7 @@ class GamaNetwork:
 def drop_undetermined_heights(network: GamaNetwork) -> None:
     """Removal of height observations that are neither fixed nor adjusted.
 
-    Their heights are held fixed, as Gama does.
+    The heights of their ends are fixed, as in Gama.
     """
     flat = {name for name, point in network.points.items() if point.active == "xy"}
     if not flat:
