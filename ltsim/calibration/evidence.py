@@ -100,7 +100,7 @@ def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float
 def with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
+    """Estimates (p,) and covariance (p, p) [SI] under priors of plausible size, as tight ones conceal combinations."""
     free_indices = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
     if np.array_equal(unit, prior_sigma[free_indices]):

@@ -131,7 +131,7 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks that fail."""
+        """Checks of the trials that failed."""
         return [check for check in self.checks if not check.passed]
 
     def verdict_text(self) -> str:

@@ -231,7 +231,7 @@ class FamilyMeans:
 
 
 def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
-    """Effect with a plausible size raised to the noise level, and the factor.
+    """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
     The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
     whitened signature of plausible size, and the pointing (r,) of each.

@@ -85,7 +85,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, times: float) -> U
     hides = round(
         max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
     )
-    size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
+    size = f"only from {times:.0f} times its plausible size on" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
     factor = times if np.isfinite(times) else None
     return Undetectable(

@@ -79,7 +79,7 @@ class RowPartition:
         return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Chunks of at most `max_pointings`: slice of the order, pointings, and slice of each cell in the chunk."""
+        """Groups of at most `max_pointings` pointings: slice of the order, pointings, and slices of their cells."""
         for start in range(0, len(self.order), max_pointings):
             end = min(start + max_pointings, len(self.order))
             first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
