@@ -11,7 +11,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number_text
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement, target_distortion
 from ltsim.diagnosis.evidence import active_observables, coefficient_posterior, log_bayes_factor_discrepancy
@@ -33,6 +33,7 @@ from ltsim.diagnosis.words import (
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_file_names
@@ -327,6 +328,9 @@ def noise_finding(
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
         sentence = unknown_effect_sentence(where, effect.text + most)
+        if isinstance(effect, CentringVariance):
+            text = with_sigma(rows[0].value, rows[0].sigma, rows[0].unit)
+            sentence = f"Centring errors: {effect.text}, with a standard deviation of {text} along each axis."
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
