@@ -19,7 +19,7 @@ from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
 from ltsim.recordings.occupations import days_of_pointings, target_occupations
-from ltsim.recordings.recording import OCCUPATION_COLUMNS, Recording
+from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
 """Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
@@ -82,7 +82,8 @@ def _sigma_of(sigma: float, n_determined: float) -> float:
 def _distinguished_occupations(recording: Recording) -> list[Occupation]:
     """Occupations of targets that a recording distinguishes by a column, or by its days."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
-    kinds: list[Occupation] = [column for column in OCCUPATION_COLUMNS if column in recording.labels]
+    columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
+    kinds = [column for column in columns if column in recording.labels]
     kinds += ["day"] if len(set(days_of_pointings(recording))) > 1 else []
     return [kind for kind in kinds if kind not in declared]
 

@@ -121,8 +121,8 @@ def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) ->
 
     Centring errors, the rival, also fit the sum of several simple causes.
     """
-    for left in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
-        smallest = (rival.log_evidence - fit.log_evidence) / left
+    for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
+        smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
         tried = _fit_best_hypotheses(fit, smallest, excluded_changes=(CentringChange, NoiseFactor))
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
