@@ -12,7 +12,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number_text
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement, target_distortion
 from ltsim.diagnosis.evidence import (
@@ -40,6 +40,7 @@ from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_file_names
@@ -342,6 +343,9 @@ def noise_finding(
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
         sentence = unknown_effect_sentence(scope, effect.text + most)
+        if isinstance(effect, CentringVariance):
+            text = with_sigma(rows[0].value, rows[0].sigma, rows[0].unit)
+            sentence = f"Centring errors: {effect.text}, with a standard deviation of {text} along each axis."
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),

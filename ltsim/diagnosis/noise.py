@@ -22,6 +22,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.noise_centring import estimate_centring
 from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
 from ltsim.diagnosis.noise_groups import (
     NOISY_GROUP_FRACTIONS,
@@ -30,15 +31,16 @@ from ltsim.diagnosis.noise_groups import (
     NoiseByGroup,
     RecordingNoiseLevel,
 )
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis as NoiseHypothesis
 from ltsim.diagnosis.noise_patterns import variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
-from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
@@ -63,25 +65,6 @@ VARIANCE_GRID_HALF_WIDTH = 4.0
 """Half-width of a grid on which the posterior of a size is summed, in standard deviations."""
 N_GRID_ZOOMS = 9
 """Number of such grids: sums of a normal density are exact for spacings up to 1.5 deviations."""
-
-
-@dataclass(frozen=True)
-class NoiseHypothesis:
-    """A noise effect with sizes: a point of its grid, or estimates with standard deviations and evidence."""
-
-    family: str
-    effect: NoiseSignature
-    sizes: tuple[float, ...]
-    size_sigmas: tuple[float, ...] = ()
-    chi2_drop: float = 0.0
-    evidence: float = 0.0
-    probability: float = 0.0
-    equivalents: tuple[Equivalent, ...] = ()
-
-    @property
-    def log_prior(self) -> float:
-        """Log prior probability of its kind among all explanations."""
-        return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -369,6 +352,8 @@ def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis
     infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
+    if isinstance(effect, CentringVariance):
+        return estimate_centring(space, hypothesis)
     reml_gain = reml_gain_function(space, nominal_variance, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
