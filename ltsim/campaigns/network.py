@@ -74,7 +74,7 @@ class BatchNetwork:
         """Forward model, as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared_quantities is not None:
-            vars(model)["nuisances"] = self.shared_quantities.network.model.nuisance_errors
+            vars(model)["nuisance_errors"] = self.shared_quantities.network.model.nuisance_errors
         return model
 
     @cached_property
