@@ -65,7 +65,7 @@ def statistic_figures(
     Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
     """
     factors, several = varying_factors(results), f"{results.manifest.trials} trials per setting."
-    how: dict[str, Any] = {"label": label, "published": published_value}
+    how: dict[str, Any] = {"label": label, "published_value": published_value}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     of_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
