@@ -94,9 +94,12 @@ def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Seq
 
 def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg: int) -> AcceptanceTest:
     """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
-    half = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
-    middle = np.array([distance, 0.0, 0.0])
-    ends = _rotated_about_vertical(middle - half, azimuth_deg), _rotated_about_vertical(middle + half, azimuth_deg)
+    half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
+    midpoint = np.array([distance, 0.0, 0.0])
+    ends = (
+        _rotated_about_vertical(midpoint - half_vector, azimuth_deg),
+        _rotated_about_vertical(midpoint + half_vector, azimuth_deg),
+    )
     return AcceptanceTest(f"{test_group} {distance:g} m {azimuth_deg} deg", test_group, "length", *ends)
 
 
@@ -258,8 +261,8 @@ class AcceptanceSettings(TomlSection):
         """Tests of the standard or of files relative to `folder`; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
-        further = [] if self.lengths is None else read_tests(folder / self.lengths)
-        return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *further)
+        user_tests = [] if self.lengths is None else read_tests(folder / self.lengths)
+        return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *user_tests)
 
 
 @as_setup_error()

@@ -68,26 +68,26 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         result = network_test_entries(recording, limits)
         return evaluated_result(result, acceptance_settings, recording=recording)
     tests = acceptance_settings.make_tests(folder)
-    nominal = limits.to_instrument(acceptance_settings.construction)
-    built = construction_of_design(acceptance_settings.construction)
+    limits_si = limits.to_instrument(acceptance_settings.construction)
+    model = construction_of_design(acceptance_settings.construction)
     if acceptance_settings.measured is not None:
-        plan = AcceptancePlan(tests, built, limits, nominal.noise)
+        plan = AcceptancePlan(tests, model, limits, limits_si.noise)
         errors = read_measured(folder / acceptance_settings.measured, tests, plan.permissible_errors)
         return evaluated_result(errors, acceptance_settings, n_unmeasured_tests=len(tests) - len(errors))
     calibration = (
         None if acceptance_settings.calibration is None else _load_calibration(folder / acceptance_settings.calibration)
     )
-    built = built if calibration is None else calibration.construction
-    prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
+    model = model if calibration is None else calibration.construction
+    prior = np.array([p.sigma_from(limits_si.prior) for p in model.parameters])
     if calibration is None:
-        mean, covariance = np.zeros(built.n_parameters), np.diag(prior**2)
+        mean, covariance = np.zeros(model.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
         mean, covariance = calibration.estimates[0], calibration.covariance
         of = "the instrument without calibration"
         if acceptance_settings.corrected:
             mean, of = mean - calibration.applied_values[0], "the corrected instrument"
-    plan = AcceptancePlan(tests, built, limits, nominal.noise)
+    plan = AcceptancePlan(tests, model, limits, limits_si.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance_settings.trials, seed=acceptance_settings.seed)
     return predicted_result(plan, outcome, prior, acceptance_settings, instrument_description=of)
 
@@ -189,25 +189,25 @@ def _length_entries(
 ) -> list[TestEntry]:
     """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
     names, points = adjusted.recording.targets, adjusted.state.target_points
-    placed = [
+    target_indices = [
         t
         for t in sorted(mean_point_by_target)
         if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
     ]
-    pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(list(combinations(target_indices, 2)), dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return []
     first, second = (np.array([mean_point_by_target[int(t)] for t in ends]) for ends in pairs.T)
     way = points[pairs[:, 1]] - points[pairs[:, 0]]
     length = np.linalg.norm(way, axis=1)
     direction = way / length[:, None]
-    expanded = 2 * np.sqrt(_length_variance(adjusted, placed, pairs, direction))
+    uncertainties = 2 * np.sqrt(_length_variance(adjusted, target_indices, pairs, direction))
     error = np.linalg.norm(second - first, axis=1) - length
     limit = instrument_specification.length_limits(first, second)
-    named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
+    entry_names = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
     return [
         make_test_entry(name, f"lengths from {station}", float(e), float(m), float(u))
-        for name, e, m, u in zip(named, error, limit, expanded, strict=True)
+        for name, e, m, u in zip(entry_names, error, limit, uncertainties, strict=True)
     ]
 
 
@@ -221,10 +221,10 @@ def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, u
     columns = unknowns.target_columns[points].ravel()
     unit = np.zeros((unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    joint = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    covariance = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
     a, b = np.searchsorted(points, pairs).T
-    both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
-    return np.asarray(np.einsum("ki,kij,kj->k", unit_directions, both, unit_directions))
+    pair_covariance = covariance[a, :, a] + covariance[b, :, b] - covariance[a, :, b] - covariance[b, :, a]
+    return np.asarray(np.einsum("ki,kij,kj->k", unit_directions, pair_covariance, unit_directions))
 
 
 def evaluated_result(

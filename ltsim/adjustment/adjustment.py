@@ -122,9 +122,9 @@ class Adjustment(Result):
         if len(state.extra_parameters) != model.n_extra_parameters:
             state = replace(state, extra_parameters=np.zeros(model.n_extra_parameters))
         problem = drop_undetermined(NetworkProblem.from_model(model, prior=prior), state)
-        lost = pose_defect(problem, state)
-        if lost:
-            raise NetworkError(lost)
+        defect = pose_defect(problem, state)
+        if defect:
+            raise NetworkError(defect)
         try:
             solution = solution_for_plan(problem, state)
         except SingularSystemError:

@@ -58,11 +58,11 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
         )
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
-    here = reached[[recording.targets.index(name) for name in common_names]]
-    there = np.array([points[name] for name in common_names])
-    _require_network_shape(here, there, source)
+    network_points = reached[[recording.targets.index(name) for name in common_names]]
+    declared_points = np.array([points[name] for name in common_names])
+    _require_network_shape(network_points, declared_points, source)
     if recording.setup.curved:
-        recording = _with_plumb_lines(recording, common_names, there)
+        recording = _with_plumb_lines(recording, common_names, declared_points)
     return _with_datum(recording, {name: points[name] for name in common_names}, source=source)
 
 
@@ -93,11 +93,11 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     The axes of the coordinates may be anywhere on the sphere, so that plumb lines do not determine them; the adjusted
     network, aligned to the points, gives the plumb lines in these axes.
     """
-    adjusted = adjust(recording)
+    adjustment = adjust(recording)
     indices = np.array([recording.targets.index(name) for name in names])
-    is_determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = align_robustly(adjusted.state.target_points[indices[is_determined]], declared_points[is_determined])
-    lines = plumb_directions(adjusted.recording) @ turn.T
+    is_determined = ~np.isin(np.array(names), adjustment.undetermined_targets)
+    turn, _ = align_robustly(adjustment.state.target_points[indices[is_determined]], declared_points[is_determined])
+    lines = plumb_directions(adjustment.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
         station = recording.station_setup(name)
@@ -124,15 +124,15 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
     a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
-    ahead = float(across @ along) / length if length else 0.0
-    aside = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
-    if aside < 1e-3 * max(length, 1e-3):
+    cosine = float(across @ along) / length if length else 0.0
+    sine = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
+    if sine < 1e-3 * max(length, 1e-3):
         raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three that do not")
-    places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
-    held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
-    framed = _with_datum(recording, places, held)
+    places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([cosine, sine, 0.0])}
+    datum_axes: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
+    aligned = _with_datum(recording, places, datum_axes)
     note = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
-    return framed.replace(notes=(*framed.notes, note))
+    return aligned.replace(notes=(*aligned.notes, note))
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:

@@ -82,7 +82,7 @@ class CentringErrors:
     @property
     def sentence(self) -> str:
         """Sentence on all centring errors and their effect on the global test."""
-        counted = (
+        suffix = (
             f" (readings to {', '.join(self.noisy_targets)} weighted by their observed noise)"
             if self.noisy_targets
             else ""
@@ -93,7 +93,7 @@ class CentringErrors:
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
-            f"with them in the model chi2/dof falls from {before} to {after}{counted}"
+            f"with them in the model chi2/dof falls from {before} to {after}{suffix}"
         )
 
 
@@ -132,29 +132,29 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
-    ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
+    height_sigma = max((heads.sigma for heads in model.head_heights), default=0.0)
     moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
-    chosen: list[int] = []
-    while len(chosen) < min(MAX_CENTRING_ERRORS, len(candidates)):
-        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in chosen}
+    occupations: list[int] = []
+    while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
+        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
-        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < ordinary:
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
             break
         space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
-        chosen.append(best)
-    if not chosen:
+        occupations.append(best)
+    if not occupations:
         return None
-    columns = whole.project(np.hstack([shifts[i] for i in chosen]))
+    columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
     values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
-    number = range(len(chosen))
+    number = range(len(occupations))
     spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
-    return CentringErrors(adjustment, tuple(candidates[i] for i in chosen), values, spread, chi2, dof, noisy)
+    return CentringErrors(adjustment, tuple(candidates[i] for i in occupations), values, spread, chi2, dof, noisy)
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
@@ -192,6 +192,6 @@ def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
     named, noisy_scatter, rest = adjustment.noisy_targets
     if not len(named):
         return adjustment
-    larger = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
-    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * larger[:, None])
+    factors = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
+    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * factors[:, None])
     return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))

@@ -114,7 +114,7 @@ def adjust(
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
     _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
-    searched = start_state is None
+    needs_start = start_state is None
     if start_state is None:
         _, network, gross, lost = screen_gross_errors(recording)
         gross &= ~_is_over_wrong_mark(recording, gross)
@@ -137,13 +137,13 @@ def adjust(
     )
     whole = drop_undetermined(whole, start_state)
     wrong: tuple[ReferenceTest, ...] = ()
-    if searched and not (robust and whole.has_no_references):
+    if needs_start and not (robust and whole.has_no_references):
         sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
         problem, solution, wrong = snoop_references(sound, solve(sound, start_state), tested_kinds)
         model = problem.model
     if wrong and robust:
         whole, start_state = whole.with_model(model), solution.x
-    if robust or not searched:
+    if robust or not needs_start:
         problem, solution = find(whole, start_state)
     components: tuple[VarianceComponent, ...] = ()
     if variance_components is not None:
@@ -175,18 +175,18 @@ def _require_unoccupied_targets(recording: Recording) -> None:
 def _is_over_wrong_mark(recording: Recording, gross: Bools) -> Bools:
     """Flags (n,) of the pointings of set-ups over marks with mostly gross errors: their mark or height may be wrong."""
     count = len(recording.stations)
-    over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
+    has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
-    return np.asarray((over & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
+    return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 
 def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
-    off = smr_radius_offsets(problem.model.recording)
-    if off is None:
+    offsets = smr_radius_offsets(problem.model.recording)
+    if offsets is None:
         return
-    turned = np.cross(problem.free_motions[3:].T[:, None], off[None])
-    if np.any(np.abs(turned) > MAX_SIDEWAYS_MOTION * np.abs(off).max()):
+    rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
+    if np.any(np.abs(rotated) > MAX_SIDEWAYS_MOTION * np.abs(offsets).max()):
         raise NetworkError(
             "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
             "normals: declare three known points (known_mm), or levels where all such normals are vertical"
@@ -222,8 +222,8 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if turned > MAX_DATUM_ROTATION:  # The factor belongs to the frame it was computed in.
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
-    tied = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
-    return replace(adjustment, solution=solution, datum=tied)
+    datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
+    return replace(adjustment, solution=solution, datum=datum)
 
 
 MIN_GROSS_MISCLOSURE = 2e-3
@@ -244,13 +244,15 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     determine the axes, it remains for the part that they do not check.
     """
     recording = adjustment.recording
-    declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
-    here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
-    off = alignment_distances(here, declared, align_robustly(here, declared))
-    use = off <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
+    declared_points = (
+        np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
+    )
+    adjusted_points = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
+    deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
+    use = deviations <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(deviations)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
-        tests = _axes_tests(adjustment, names, declared, use)
+        tests = _axes_tests(adjustment, names, declared_points, use)
         ratio = np.array([test.normalised_error / test.critical_value for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
@@ -260,11 +262,11 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
             break
         if use[k] and use.sum() <= MIN_AXIS_POINTS:
             tests[k] = replace(tests[k], is_excluded=True)
-            declared[k] -= tests[k].error
+            declared_points[k] -= tests[k].error
             break
         use = use ^ (np.arange(len(names)) == k)
     targets = dict(recording.setup.targets)
-    for name, used, place in zip(names, use, declared / MILLIMETRE, strict=True):
+    for name, used, place in zip(names, use, declared_points / MILLIMETRE, strict=True):
         targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
 
@@ -274,21 +276,23 @@ def _axes_tests(
 ) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
-    adjusted = adjustment.with_inner_datum(chosen)
-    indices = [adjusted.recording.targets.index(name) for name in names]
-    state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
-    turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
-    covariance = turn @ adjusted.target_covariance[indices] @ turn.T
+    datum_adjustment = adjustment.with_inner_datum(chosen)
+    indices = [datum_adjustment.recording.targets.index(name) for name in names]
+    state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
+    turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
+    covariance = turn @ datum_adjustment.target_covariance[indices] @ turn.T
     gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
-    free = motions_about_centre(adjusted.problem.free_motions, centre)
-    motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])
-    carried = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
-    held = carried @ np.swapaxes(carried, 1, 2)
+    motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)
+    motion = (rigid_motion_design(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
+    leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
+    hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
-    rest = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
+    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
     return [
-        _axis_point_test(name, gap[k], covariance[k], held[k], is_used=bool(used_mask[k]), tested_axis=rest)
+        _axis_point_test(
+            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), tested_axis=test_values
+        )
         for k, name in enumerate(names)
     ]
 
@@ -310,20 +314,20 @@ def _axis_point_test(
     share, turned = np.linalg.eigh(np.eye(3) - axes_share if is_used else np.eye(3) + axes_share)
     is_checked = share > MIN_NUMERICAL_REDUNDANCY
     turned, share = turned[:, is_checked], share[is_checked]
-    shown = share if is_used else np.ones(len(share))
+    redundancy = share if is_used else np.ones(len(share))
     square, dof, level = tested_axis
-    error = turned.T @ misclosure / shown
+    error = turned.T @ misclosure / redundancy
     if is_used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
-    scatter = max(square, 0.0) / max(dof, 1)
-    network = (turned.T @ covariance @ turned) / np.outer(shown, shown)
-    spread = network + np.diag(scatter / share if is_used else scatter * share)
+    variance_factor = max(square, 0.0) / max(dof, 1)
+    network = (turned.T @ covariance @ turned) / np.outer(redundancy, redundancy)
+    spread = network + np.diag(variance_factor / share if is_used else variance_factor * share)
     limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
     return ReferenceTest(
         kind="axes",
         name=name,
         declared_components="xyz",
-        sigma=np.sqrt(np.diag(covariance) + scatter),
+        sigma=np.sqrt(np.diag(covariance) + variance_factor),
         residual=misclosure,
         error=turned @ error,
         sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),

@@ -65,13 +65,13 @@ def fit_pose(
     azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
     slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
-    high = position is None and (slope or elevation or not is_levelled)
-    is_free = np.array([position is None] * 2 + [high] + [is_tilted] * 2 + [azimuth])
+    height_free = position is None and (slope or elevation or not is_levelled)
+    is_free = np.array([position is None] * 2 + [height_free] + [is_tilted] * 2 + [azimuth])
     if sight.n_readings < is_free.sum():
         return None
     places = _candidate_positions(points) if position is None else position[None]
     turns = _candidate_rotations(not is_tilted) if azimuth or is_tilted else np.eye(3)[None]
-    places = places if high or position is not None else places[:-2]
+    places = places if height_free or position is not None else places[:-2]
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
         arm = points[None] - x[:, None]
@@ -115,9 +115,9 @@ def _unique_solution(
     if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
         return None
     distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(centre - x[0]).max())
-    other = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
-    clear = not len(other) or float(other[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
-    return (x[0], rotation[0]) if clear else None
+    other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
+    is_unique = not len(other_costs) or float(other_costs[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
+    return (x[0], rotation[0]) if is_unique else None
 
 
 def _iterate_best_starts(
@@ -165,10 +165,10 @@ def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floa
 def _candidate_positions(points: Floats) -> Floats:
     """Candidate positions of a station: among the points and around them."""
     centre = points.mean(axis=0)
-    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    across = reach * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
-    above = np.outer([-reach, reach], [0.0, 0.0, 1.0])
-    return np.concatenate([[centre], centre + 0.4 * across, centre + 1.5 * across, centre + above])
+    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
+    circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
+    axis_points = np.outer([-radius, radius], [0.0, 0.0, 1.0])
+    return np.concatenate([[centre], centre + 0.4 * circle, centre + 1.5 * circle, centre + axis_points])
 
 
 def _candidate_rotations(is_level: bool) -> Floats:
@@ -231,11 +231,11 @@ MIN_PLAN_SINGULAR_VALUE = 1e-6
 
 def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
     """Point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None for parallel beams."""
-    across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
-    normal = across.sum(axis=0)
+    projector = np.eye(3) - beam[:, :, None] * beam[:, None, :]
+    normal = projector.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_INTERSECTION * len(beam):
         return None
-    return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
+    return np.linalg.solve(normal, np.einsum("kij,kj->i", projector, origin))
 
 
 @dataclass(frozen=True)
@@ -337,15 +337,17 @@ def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, has_leng
     Padded with zero rows.
     """
     design = np.zeros((len(bearing) + len(has_length), n_places, 2))
-    across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-    ahead = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
+    transverse = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
+    radial = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
     every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(has_length))
-    np.add.at(design, (every, end_places), across)
-    np.add.at(design, (every, start_places), -across)
-    np.add.at(design, (behind, end_places[has_length]), ahead)
-    np.add.at(design, (behind, start_places[has_length]), -ahead)
-    free = 2 * (n_places - 1)
-    return np.concatenate([design[:, 1:].reshape(-1, free), np.zeros((free, free))])  # a row for each column at least
+    np.add.at(design, (every, end_places), transverse)
+    np.add.at(design, (every, start_places), -transverse)
+    np.add.at(design, (behind, end_places[has_length]), radial)
+    np.add.at(design, (behind, start_places[has_length]), -radial)
+    n_coordinates = 2 * (n_places - 1)
+    return np.concatenate(
+        [design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))]
+    )  # a row for each column at least
 
 
 def _plan_shape(
@@ -357,12 +359,12 @@ def _plan_shape(
     length; without lengths the scale is arbitrary.
     """
     design = _plan_design(start_places, end_places, bearing, has_length, n_places)
-    right = np.zeros(len(design))
-    right[len(bearing) : len(bearing) + len(has_length)] = length
+    right_side = np.zeros(len(design))
+    right_side[len(bearing) : len(bearing) + len(has_length)] = length
     u, size, rows = np.linalg.svd(design, full_matrices=False)
     if size[-1 if len(has_length) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
         return None
-    plan = rows.T @ ((u.T @ right) / size) if len(has_length) else rows[-1]
+    plan = rows.T @ ((u.T @ right_side) / size) if len(has_length) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
     forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearing))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)

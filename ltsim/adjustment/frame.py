@@ -142,8 +142,8 @@ class DeclaredFrame:
             )
         if not len(planned_indices) or not np.isfinite(self.plan_yaws[planned_indices[0]]):
             return None
-        ahead = rotation[planned_indices[0], :, 0]
-        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(ahead[1], ahead[0])))
+        headings = rotation[planned_indices[0], :, 0]
+        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
         return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
@@ -208,9 +208,9 @@ class DeclaredFrame:
         mask = self.has_declared_yaw & joined_stations
         if not mask.any():
             return None
-        ahead = rotation[mask, :, 0]
+        headings = rotation[mask, :, 0]
         return rotation_about_z(
-            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
+            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0]))))))
         )
 
     def levelling_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats:
@@ -231,10 +231,10 @@ def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
         for name, target in targets.items()
         if target.known_mm is not None and target.known_axes == "xyz"
     }
-    whole = [difference for difference in recording.setup.differences if difference.known_axes == "xyz"]
+    differences = [difference for difference in recording.setup.differences if difference.known_axes == "xyz"]
     while ends := [
         (difference, difference.to in places)
-        for difference in whole
+        for difference in differences
         if (difference.from_ in places) != (difference.to in places)
     ]:
         for difference, back in ends:
@@ -327,14 +327,14 @@ class StationTargetPairs:
         key = recording.station[rows] * targets + recording.target[rows]
         by_key = np.argsort(key, kind="stable")
         where, first, count = np.unique(key[by_key], return_index=True, return_counts=True)
-        middle = np.zeros((len(where), 3))
+        centres = np.zeros((len(where), 3))
         for repeats in np.unique(count):
             group = np.flatnonzero(count == repeats)
-            middle[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
+            centres[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
         station, target = np.divmod(where, max(targets, 1))
         order = np.argsort(target, kind="stable")
-        begin = np.searchsorted(station, np.arange(stations + 1))
-        return cls(station, target, middle, begin, order, np.searchsorted(target[order], np.arange(targets + 1)))
+        starts = np.searchsorted(station, np.arange(stations + 1))
+        return cls(station, target, centres, starts, order, np.searchsorted(target[order], np.arange(targets + 1)))
 
     def __len__(self) -> int:
         return len(self.station_indices)
@@ -348,8 +348,8 @@ class StationTargetPairs:
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         rows = recording.station * len(recording.targets) + recording.target
-        paired = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[paired])] = values[paired]
+        pair_rows = np.flatnonzero(np.isin(rows, keys))
+        by_pair[np.searchsorted(keys, rows[pair_rows])] = values[pair_rows]
         return by_pair
 
     def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
@@ -372,19 +372,19 @@ def _nan_median(values: Floats) -> Floats:
     """Median over the second axis of (t, k, 3) without NaN; NaN if all are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
-    ordered = np.sort(values, axis=1)
+    sorted_values = np.sort(values, axis=1)
     count = np.isfinite(values[:, :, 0]).sum(axis=1)
     at = np.arange(len(values))
-    return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])
+    return 0.5 * (sorted_values[at, (count - 1) // 2] + sorted_values[at, count // 2])
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
     """Measured points (n, 3) with horizontal distances converted to slope distances; None if there are none."""
-    flat = recording.is_horizontal
-    if not flat.any():
+    is_horizontal = recording.is_horizontal
+    if not is_horizontal.any():
         return None
     readings = recording.readings.copy()
     if not np.isfinite(readings[:, 2]).any():
-        readings[flat, 2] = 0.0  # a network in plan has no elevations
-    readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
+        readings[is_horizontal, 2] = 0.0  # a network in plan has no elevations
+    readings[is_horizontal, 0] /= np.abs(np.cos(readings[is_horizontal, 2]))
     return from_polar(readings)

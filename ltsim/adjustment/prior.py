@@ -58,8 +58,8 @@ class ParameterPrior:
         """Matrices (I, p, p) that transform deviations from the mean to standard normal variables."""
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
-        lower = np.linalg.cholesky(correlation)
-        return np.linalg.inv(lower) / sigma[:, None, :]
+        lower_factor = np.linalg.cholesky(correlation)
+        return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
     def whitened_residuals(self, values: Floats) -> Floats:
         """Whitened prior residuals (m,) of values (I, p), one per parameter with a prior."""

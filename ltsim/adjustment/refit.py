@@ -63,8 +63,8 @@ class ShapeDirection(Signature):
 
     def changed_value(self, change: float) -> float:
         """Constant after a relative change, within its bounds and at most halved or doubled."""
-        moved = self.present_value * (1 + np.clip(change, -0.5, 1.0))
-        return float(np.clip(moved, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
+        new_value = self.present_value * (1 + np.clip(change, -0.5, 1.0))
+        return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def refit_with_effects(
     fixed_constants : sequence of collections of str, optional
         Names of each effect's constants that are fixed and not reported.
     """
-    stay = fixed_constants or [()] * len(effects)
+    fixed_names = fixed_constants or [()] * len(effects)
     current = list(effects)
     fitted = joint = adjustment(effects=current, start_state=start_state)
     if not fitted.solution.has_converged:
@@ -174,7 +174,7 @@ def refit_with_effects(
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(MAX_SHAPE_STEPS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
-        each = zip(current, values, stay, strict=True)
+        each = zip(current, values, fixed_names, strict=True)
         directions = [_shape_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
@@ -235,12 +235,12 @@ def _estimates_with_uncertainty(
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
-    shaped = joint_adjustment.solution.has_converged and len(joint_adjustment.effects) > len(effects)
-    carrier = joint_adjustment if shaped else adjustment
-    if not (effects and carrier.solution.has_converged):
+    has_shape_estimates = joint_adjustment.solution.has_converged and len(joint_adjustment.effects) > len(effects)
+    source = joint_adjustment if has_shape_estimates else adjustment
+    if not (effects and source.solution.has_converged):
         return tuple(() for _ in effects)
-    sigma = _values_by_effect(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
-    relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
+    sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.extra_covariance), 0.0)))
+    relative = iter(sigma[len(effects) :]) if has_shape_estimates else repeat(np.full(1, np.inf))
     rows = []
     for i, (effect, values) in enumerate(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)

@@ -46,8 +46,8 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
-    shown = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
-    return shown if shown > MAX_SIGMA0_DECLARED_NOISE else 1.0
+    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
+    return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
 def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
@@ -88,9 +88,9 @@ def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
     """
     finite_dof = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
     t = tau * np.sqrt((finite_dof - 1.0) / np.maximum(finite_dof - tau**2, 1e-300))
-    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
-    single = np.where(dof < 2, 1.0, single)
-    return np.asarray(-np.expm1(n_readings * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
+    p_single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
+    p_single = np.where(dof < 2, 1.0, p_single)
+    return np.asarray(-np.expm1(n_readings * np.log1p(-np.minimum(p_single, 1.0 - 1e-16))))
 
 
 def iterative_snooping(
@@ -160,7 +160,7 @@ def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
     is_far = x > 300.0
-    beyond = np.where(is_far, x, 301.0)
-    tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
-    near = -np.log(special.gammaincc(a, np.where(is_far, 0.0, x)))
-    return np.asarray(np.where(np.asarray(rank) > 0, np.where(is_far, tail, near), 0.0))
+    tail_x = np.where(is_far, x, 301.0)
+    tail = tail_x - (a - 1) * np.log(tail_x) + special.gammaln(a) - np.log1p((a - 1) / tail_x)
+    near_value = -np.log(special.gammaincc(a, np.where(is_far, 0.0, x)))
+    return np.asarray(np.where(np.asarray(rank) > 0, np.where(is_far, tail, near_value), 0.0))

@@ -63,9 +63,9 @@ def is_copied_row(recording: Recording) -> Bools:
         return np.zeros(len(recording), dtype=bool)
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
-    whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
+    rows = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
     is_repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
-    is_copied = _equals_earlier_row(whole) & recording.is_measured.any(axis=1)
+    is_copied = _equals_earlier_row(rows) & recording.is_measured.any(axis=1)
     if recording.has_clock:
         return is_copied
     return is_copied & (is_copied.sum() >= max(MIN_COPIED_ROWS, int(is_repeated.sum())))
@@ -110,15 +110,13 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
-    whole = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
-    is_doubtful = ~whole & ~problem.structure.is_unmeasured_target
+    n_complete = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
+    is_doubtful = ~n_complete & ~problem.structure.is_unmeasured_target
     is_doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
     if not is_doubtful.any():
         return is_doubtful
-    weighted = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
-    rows = np.where(
-        problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weighted, 0.0
-    )
+    weights = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
+    rows = np.where(problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0)
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
     gauge, control = problem.gauge_rows, problem.control_rows
@@ -145,13 +143,13 @@ def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
     Set-ups over marks and stations without readings are excluded.
     """
     recording, marks = problem.model.recording, problem.marks
-    sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    is_sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
     is_used = problem.used_readings.any(axis=1)
-    sighted[recording.station[is_used], recording.target[is_used]] = True
-    vertical = np.full((len(sighted), 3), np.nan)
+    is_sighted[recording.station[is_used], recording.target[is_used]] = True
+    vertical = np.full((len(is_sighted), 3), np.nan)
     vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
-    is_free = np.array([not name for name in marks.mark_names]) & sighted.any(axis=1)
-    deficient_names = np.flatnonzero(is_free & ~determines_pose(state.target_points, sighted, vertical))
+    is_free = np.array([not name for name in marks.mark_names]) & is_sighted.any(axis=1)
+    deficient_names = np.flatnonzero(is_free & ~determines_pose(state.target_points, is_sighted, vertical))
     if not len(deficient_names):
         return ""
     levelled = deficient_names[0] in problem.level_rows.station_indices
@@ -250,12 +248,12 @@ def snoop_readings(
         rejected = _reject_readings(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
-    tried: set[bytes] = set()
+    tried_sets: set[bytes] = set()
     placed, target = state.target_points, problem.model.recording.target
     while True:
         reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
         solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
-        tried.add(rejected.tobytes())
+        tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
@@ -274,7 +272,9 @@ def snoop_readings(
         new = _test_rejected_again(problem, reduced, solution, rejected, limit)
         if np.array_equal(new, rejected):
             return reduced, solution if solution.has_converged else solve(reduced, state)
-        if new.tobytes() in tried or len(tried) >= max_passes:  # On the edge: what is out in either stays out.
+        if (
+            new.tobytes() in tried_sets or len(tried_sets) >= max_passes
+        ):  # On the edge: what is out in either stays out.
             last = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~(new | rejected)), state)
             ended = solve(last, state)
             return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)

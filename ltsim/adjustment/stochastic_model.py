@@ -69,10 +69,10 @@ def iterate_reweighted(
         partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
         int(problem.used_readings.sum()),
     )
-    ends = [search(huber_weights)]
-    if are_many_far(ends[0][1][:reading]):
-        ends.append(search(cauchy_weights))
-    return ends[best_end_index([residual[:reading] for _, residual in ends])]
+    solutions = [search(huber_weights)]
+    if are_many_far(solutions[0][1][:reading]):
+        solutions.append(search(cauchy_weights))
+    return solutions[best_end_index([residual[:reading] for _, residual in solutions])]
 
 
 def are_many_far(whitened_residuals: Floats) -> bool:

@@ -84,9 +84,13 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
             f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
-    rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
-    healed = dof > by_w and rest <= high**2 * (dof - by_w)
-    if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
+    chi2_rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
+    is_explained = dof > by_w and chi2_rest <= high**2 * (dof - by_w)
+    if (
+        by_w
+        and is_explained
+        and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum()))
+    ):
         rest_text = "the other readings agree with the declared noise."
         if adjustment.cause_sentences:
             sentence = f"{phrase} fails only because of this, which is not in the model: {wrong}, and {rest_text}"

@@ -156,7 +156,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         bayes = fields["method"] == "network" and not fields["history_prior"]
         applied_values = arrays.estimates if fields["correction"] is None else arrays.applied_values
         prior = with_plausible_priors if bayes else None
-        derived = {
+        derived_fields = {
             "construction_name": arrays.construction.name,
             "parameters": _parameter_entries(arrays, arrays.estimates if applied_values is None else applied_values),
             "parameter_covariance": (arrays.covariance / np.outer(factors, factors)).tolist(),
@@ -164,7 +164,7 @@ class Calibration(UncertaintyEntry, ResultFile):
             "determined": _entries_per_instrument(arrays, determined_combinations, prior),
             "noise_estimated": _is_noise_estimated(fields["noise"]),
         }
-        result = cls(**fields, **derived)
+        result = cls(**fields, **derived_fields)
         result._arrays = arrays
         return result
 
@@ -273,14 +273,14 @@ class Calibration(UncertaintyEntry, ResultFile):
         fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
         test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
-        sharper = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
+        n_determined = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
         targets = f" and {len(self.target_names)} targets" if self.target_names else ""
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
         lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
-            lines.append(f"{count} parameters{held}, {sharper} better known than before; {undetermined}")
+            lines.append(f"{count} parameters{held}, {n_determined} better known than before; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} outlying readings")
@@ -395,6 +395,6 @@ def _entries_per_instrument(
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
     """True if the noise was estimated from the same readings, so that the global test is void."""
-    whole = sum(n.redundancy for n in noise)
-    estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return estimated > MAX_ESTIMATED_NOISE_FRACTION * whole
+    redundancy = sum(n.redundancy for n in noise)
+    redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
+    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION * redundancy

@@ -132,21 +132,21 @@ class CalibrationSeries(ValueEquality):
             if calibration.history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
-        chosen = _with_common_parameters(
+        calibrations = _with_common_parameters(
             [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
         )
-        for (label, _), calibration in zip(labelled_calibrations, chosen, strict=True):
+        for (label, _), calibration in zip(labelled_calibrations, calibrations, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
                 name = calibration.construction.parameter_names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         labels = tuple(label for label, _ in labelled_calibrations)
-        declared = (
+        day_texts = (
             dates
             if dates is not None
             else [c.recording.measured if c.recording else None for _, c in labelled_calibrations]
         )
-        return cls(labels, chosen, days_since_first(labels, declared))
+        return cls(labels, calibrations, days_since_first(labels, day_texts))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -193,10 +193,10 @@ class CalibrationSeries(ValueEquality):
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
         pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
-        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
+        covariance: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
-            joint[i, :, i] += pull[i] @ remaining[i]
-        return joint
+            covariance[i, :, i] += pull[i] @ remaining[i]
+        return covariance
 
     def change(self, first_number: int, second_number: int) -> ChangeEntry:
         """Change from calibration number `first_number` to number `second_number`: later minus earlier, with p-values.
@@ -251,8 +251,10 @@ class CalibrationSeries(ValueEquality):
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
         """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
         values = contrast @ (self.estimates / self.prior_sigma) @ combination
-        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True)
-        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
+        half_product: Floats = np.einsum(
+            "mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True
+        )
+        spread: Floats = np.einsum("msjb,nj,bt->msnt", half_product, contrast, combination, optimize=True)
         return values.ravel(), spread.reshape(values.size, values.size)
 
     @cached_property
@@ -293,14 +295,17 @@ class CalibrationSeries(ValueEquality):
         varies mostly follows the history, one that varies mostly the calibration.
         """
         population, unit = self.population, self.prior_sigma
-        single = single_instrument(calibration, None, "the calibration")
+        input_calibration = single_instrument(calibration, None, "the calibration")
         spread = population.spread / unit
         likelihood = likelihood_information(
-            single.estimates[0], single.covariance, single.arrays.effective_prior_sigma[0], unit
+            input_calibration.estimates[0],
+            input_calibration.covariance,
+            input_calibration.arrays.effective_prior_sigma[0],
+            unit,
         )
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
         values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
-        return single.with_changes(
+        return input_calibration.with_changes(
             estimates=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],
@@ -348,18 +353,18 @@ def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floa
     if len(dates) != len(labels):
         problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
         raise RecordError(f"{problem}; expected one date per calibration")
-    declared = [date for date in dates if date]
-    if len(declared) < len(dates):
+    given_dates = [date for date in dates if date]
+    if len(given_dates) < len(dates):
         return None
     try:
-        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in declared]
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in given_dates]
     except ValueError:
-        problem = f"the dates {', '.join(declared)} are not all in ISO form"
+        problem = f"the dates {', '.join(given_dates)} are not all in ISO form"
         raise RecordError(f"{problem}; expected dates such as 2026-05-31") from None
     days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
-    back = np.flatnonzero(np.diff(days) < 0)
-    if len(back):
-        i = int(back[0])
-        message = f"{labels[i]} ({declared[i]}) is listed before {labels[i + 1]} ({declared[i + 1]})"
+    backward_steps = np.flatnonzero(np.diff(days) < 0)
+    if len(backward_steps):
+        i = int(backward_steps[0])
+        message = f"{labels[i]} ({given_dates[i]}) is listed before {labels[i + 1]} ({given_dates[i + 1]})"
         raise RecordError(f"{message}; expected calibrations in the order of time")
     return days

@@ -63,12 +63,12 @@ def correct(
             f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
     values = corrections.values_for(source)
-    without = source.with_readings(source.readings - incidence_correction_change(source, corrections))
-    readings = corrected_readings(without, corrections.construction, values)
+    uncorrected = source.with_readings(source.readings - incidence_correction_change(source, corrections))
+    readings = corrected_readings(uncorrected, corrections.construction, values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
-    marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
-    return source.replace(setup=setup.model_copy(update=marked), readings=readings)
+    marked_setup = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
+    return source.replace(setup=setup.model_copy(update=marked_setup), readings=readings)
 
 
 def incidence_correction_change(recording: Recording, calibration: Calibration) -> Floats:

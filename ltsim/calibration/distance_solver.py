@@ -70,8 +70,8 @@ class DistanceEstimate:
 def mean_deviation_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Rows whose sum of squares is eq. 9 squared: weighted deviations from the mean over sets."""
     centre, count = centring_matrix(distances)
-    scaled = sp.diags_array(np.sqrt(count)) @ centre
-    return _append_gauge_rows(problem, distances, sp.csr_array(scaled))
+    scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
+    return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
@@ -96,10 +96,10 @@ def _append_gauge_rows(
 ) -> ComparedDistances:
     at, which = problem.gauge_matches(distances)
     n_lengths = len(problem.reference_lengths)
-    pick = _selection_matrix(at, len(distances.lengths))
+    selection = _selection_matrix(at, len(distances.lengths))
     # The error of a gauge length shifts all rows that compare with it.
     spread = sp.csr_array(-problem.reference_lengths.decorrelated_to_lengths[which])
-    matrix = sp.vstack([comparison_matrix, pick], format="csr")
+    matrix = sp.vstack([comparison_matrix, selection], format="csr")
     residual = matrix @ distances.lengths
     residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
     length_noise = sp.vstack([sp.csr_array((comparison_matrix.shape[0], n_lengths)), spread], format="csr")
@@ -168,8 +168,8 @@ def solve_equation_9(
         unknowns, rows, fallen = _line_search(problem, unknowns, step, rows, norm)
         moved = min(float(np.max(np.abs(step))), fallen)
     visible, invisible = _split_observable_combinations(rows, free)
-    undetermined = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
-    return _make_estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < EQUATION_9_TOLERANCE)
+    combinations = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
+    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < EQUATION_9_TOLERANCE)
 
 
 def _start_values(
@@ -229,13 +229,13 @@ def determined_combinations(
     vectors = np.zeros((len(free_unknowns), len(eigenvectors)))
     vectors[free_unknowns] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    carried = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
+    noise_response = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
     variance = np.full(len(strength), np.inf)
-    variance[nonzero] = np.sum(carried[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
+    variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
     keep = gain >= MIN_DETERMINED_GAIN
-    undetermined = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
-    return vectors[:, keep], tuple(sorted(undetermined, key=lambda d: d.gain))
+    combinations = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
+    return vectors[:, keep], tuple(sorted(combinations, key=lambda d: d.gain))
 
 
 def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools) -> tuple[Floats, Floats]:
@@ -266,8 +266,8 @@ def _bounded_step(
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(rows, free_unknowns)[0][free_unknowns]
         return visible @ _unbounded_step(design @ visible, rows.residuals, norm)
-    within = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
-    return within(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
+    bounded_solver = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
+    return bounded_solver(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
 
 
 def _least_squares_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
@@ -323,23 +323,23 @@ def estimate_covariance(
     spread = np.maximum(spread, 1e-12)
     scaled_design = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
-    carried = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
-    score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
+    noise_response = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
-    return covariance, estimated_combinations @ (-inverse @ carried)
+    return covariance, estimated_combinations @ (-inverse @ noise_response)
 
 
 def compare_with_minimum(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
     """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
-    least = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
+    minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     count = len(estimate.undetermined_combinations)
     return (
         f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here, with {count} combinations left "
-        f"at zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
-        "which fits these to the noise)",
+        f"at zero that the readings hardly determine; its own minimum is {power * minimum:.4g} {unit} "
+        f"(method {method}, which fits these to the noise)",
     )

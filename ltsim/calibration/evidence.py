@@ -87,20 +87,20 @@ def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float
     A change is added while one scores more than `min_score`; after each addition every earlier one is replaced by the
     best change given the others.
     """
-    selected: dict[int, Floats] = {}
-    while (values := scores(selected)).max(initial=-np.inf) > min_score:
-        selected[int(np.argmax(values))] = values
-        for previous in list(selected)[:-1]:
-            values = scores([k for k in selected if k != previous])
-            del selected[previous]
-            selected[int(np.argmax(values))] = values
-    return selected
+    odds_by_index: dict[int, Floats] = {}
+    while (values := scores(odds_by_index)).max(initial=-np.inf) > min_score:
+        odds_by_index[int(np.argmax(values))] = values
+        for previous in list(odds_by_index)[:-1]:
+            values = scores([k for k in odds_by_index if k != previous])
+            del odds_by_index[previous]
+            odds_by_index[int(np.argmax(values))] = values
+    return odds_by_index
 
 
 def with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
+    """Estimates (p,) and covariance (p, p) [SI] under priors of plausible size, as tight ones conceal combinations."""
     free_indices = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
     if np.array_equal(unit, prior_sigma[free_indices]):

@@ -60,15 +60,15 @@ class RequestedEffect:
         """All instances of the effect that agree with the fixed fields."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
-        same = [
+        matching = [
             c
             for c in self.effect.candidates(adjustment.sightings)
             if all(getattr(c, key) == getattr(self.effect, key) for key in self.fixed_fields)
         ]
-        if same:
-            return same
-        free = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
-        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free))
+        if matching:
+            return matching
+        free_shapes = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
+        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free_shapes))
         return [self.effect.with_constants(**dict(shape)) for shape in grids]
 
 
@@ -134,14 +134,14 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    driver = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
-    return f"{effect.response.name} ~ {driver}{law_suffix(effect)}"
+    regressor_name = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
+    return f"{effect.response.name} ~ {regressor_name}{law_suffix(effect)}"
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Estimated sizes of a law among an adjustment's effects, one entry each."""
-    before = adjustment.effects[: adjustment.effects.index(law)]
-    first = sum(len(effect.parameters) for effect in before)
+    effects_before = adjustment.effects[: adjustment.effects.index(law)]
+    first = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first, first + len(law.parameters))
     sizes = displayed_sizes(
         law,
@@ -162,11 +162,11 @@ def _effect_entries(
         for key, value in vars(effect).items()
         if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
-    given = [
+    shape_entries = [
         _parameter_entry(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed_fields
     ]
     count = len(effect.parameters)
-    return (*numbers[:count], *words, *given, *numbers[count:])
+    return (*numbers[:count], *words, *shape_entries, *numbers[count:])
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:

@@ -68,22 +68,25 @@ def calibrate_network(
         Effects of the catalogue, and laws, that are also estimated.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
-    built = construction or declared_construction(recording)
+    model = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
-        wanted.require_estimable(recording, built)
-    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
-    expected = expected_sigmas(recording, built) if choose_correction else prior_sigmas(recording, built)
-    prior, history_prior = chosen.prior_with_sigma(expected, recording, built), chosen.earlier_calibrations is not None
+        wanted.require_estimable(recording, model)
+    modes = [RangeMode()] if model.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
+    expected_prior = expected_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
+    prior, history_prior = (
+        chosen.prior_with_sigma(expected_prior, recording, model),
+        chosen.earlier_calibrations is not None,
+    )
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ = "", True
     # A simple cause could absorb an effect that the user requests.
-    selection = identify_causes(recording, built, prior) if choose_correction and not extra_effects else None
+    selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
         adjusted = partial(
             _adjust_with_options,
             recording,
-            built,
+            model,
             robust,
             grouping,
             datum,
@@ -124,11 +127,11 @@ def calibrate_network(
             prior_widening_factor=wider,
             factor=factor,
         )
-        criteria = result.criteria_table(adjustment.recording, adjustment, built, applied_values)
+        criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
         changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
     calibration = calibration.with_changes(**changes)
-    quiet = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
-    notes = [*calibration.notes, *([quiet] if quiet_by else []), *prior_conflict_sentences(calibration)]
+    sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
+    notes = [*calibration.notes, *([sentence] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))
 
 
@@ -169,10 +172,10 @@ def adjust(
     (28, 7)
     """
     source = load_recording(recording)
-    chosen = None if datum is None else name_tuple(datum)
+    datum_names = None if datum is None else name_tuple(datum)
     selection = identify_causes(source)
     adjustment = _adjust_with_options(
-        source, ideal_construction(), robust, _noise_grouping(noise_from_data), chosen, selection=selection
+        source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
     options = {"robust": robust, "tests": tests, "with_constants": constants}

@@ -122,11 +122,11 @@ class DistanceProblem:
         raw_readings = np.where(recording.is_measured, readings, 1.0)
         index = recording.instrument
         point, by_reading, by_value = self.construction.linearise(raw_readings, values[index])
-        wide = np.zeros((len(raw_readings), 3, count * size))
+        design = np.zeros((len(raw_readings), 3, count * size))
         for i in range(count):
             rows = index == i
-            wide[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
-        return point, by_reading * recording.sigma()[:, None, :], wide
+            design[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
+        return point, by_reading * recording.sigma()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
         """Derivative (D, 3 n) of the distances by the whitened readings."""
@@ -145,9 +145,9 @@ class DistanceProblem:
     def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
         """Rows of `distances` with a reference length, and its index."""
         count = len(self.recording.targets)
-        low = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
-        high = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
-        index = {int(key): i for i, key in enumerate(low * count + high)}
+        lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
+        upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
+        index = {int(key): i for i, key in enumerate(lower_targets * count + upper_targets)}
         which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
         rows = np.flatnonzero(which >= 0)
         return rows, which[rows]

@@ -56,14 +56,14 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     unit, used_sigma = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
     gap = (adjustment.state.instrument_parameters - prior.mean).ravel()[free]
     likelihood = likelihood_information(gap, adjustment.constants_covariance[np.ix_(free, free)], used_sigma, unit)
-    common = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
-    ways = np.concatenate([np.eye(rejected.size)[free], common])[:, free]
+    common_changes = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
+    ways = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
     def log_odds_given(other_changes: Collection[int]) -> Floats:
         """Log odds (h,) of each change given others, to 0.1 so that of equivalent changes the first is selected."""
-        given = WIDENED_SIGMA_FACTOR * ways[list(other_changes)]
+        given_changes = WIDENED_SIGMA_FACTOR * ways[list(other_changes)]
         score, weight = score_test(
-            likelihood.information, likelihood.information_vector, np.eye(len(free)) + given.T @ given
+            likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
         )
         strength = np.einsum("hi,ij,hj->h", ways, weight, ways)
         informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(ways)), list(other_changes))
@@ -104,18 +104,18 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     deviation = ((calibration.estimates - prior.mean) / calibration.prior_sigma).ravel()
     w = _normalised_deviations(deviation, gain) / scale
     odds = log_odds_of_errors(w, gain, freed.size + size * (len(freed) > 1))
-    worst = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
-    if not worst:
+    contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
+    if not contradictions:
         return (*sentences, *_combination_sentence(calibration, prior, scale))
-    for k in worst[:MAX_SENTENCES]:
+    for k in contradictions[:MAX_SENTENCES]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
             f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, state a larger sigma in "
             "[instrument.prior.parameters]"
         )
-    if len(worst) > MAX_SENTENCES:
-        sentences.append(f"{len(worst) - MAX_SENTENCES} more parameters contradict their prior")
+    if len(contradictions) > MAX_SENTENCES:
+        sentences.append(f"{len(contradictions) - MAX_SENTENCES} more parameters contradict their prior")
     return tuple(sentences)
 
 

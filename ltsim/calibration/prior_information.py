@@ -53,8 +53,8 @@ class EarlierCalibrations:
             return cls._from_history(source)
         path = Path(source)
         names = (Calibration.FILE, History.FILE)
-        held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
-        file = held[0] if path.is_dir() else path
+        existing_files = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
+        file = existing_files[0] if path.is_dir() else path
         if str(read_json(file, Calibration.FILE).get("format", "")).startswith("ltsim-history/"):
             return cls._from_history(read_result(file, History), file)
         return cls._from_calibration(read_calibration(file))
@@ -106,16 +106,16 @@ class EarlierCalibrations:
                 f"the construction {self.construction} of the earlier calibrations has no parameter of "
                 f"{construction.name}"
             )
-        here = [construction.parameter_names.index(name) for name in common_names]
-        there = [self.parameters.index(name) for name in common_names]
+        new_indices = [construction.parameter_names.index(name) for name in common_names]
+        their_indices = [self.parameters.index(name) for name in common_names]
         mean, covariance = nominal_prior.mean.copy(), nominal_prior.covariance.copy()
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
                 names = ", ".join(self.instruments)
                 raise RecordError(f"earlier calibrations have the instruments {names}, not '{name}'")
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
-            mean[i, here] = self.mean[k, there]
-            covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
+            mean[i, new_indices] = self.mean[k, their_indices]
+            covariance[i][np.ix_(new_indices, new_indices)] = self.covariance[k][np.ix_(their_indices, their_indices)]
         return ParameterPrior(mean, covariance, nominal_prior.is_fixed)
 
 
@@ -192,8 +192,8 @@ def flat_parameter_indices(
     matches = matches or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
     if not matches:
         raise unknown_name("parameter", name, parameters)
-    chosen = [instruments.index(instrument)] if at else range(len(instruments))
-    return [i * len(parameters) + k for i in chosen for k in matches]
+    instrument_indices = [instruments.index(instrument)] if at else range(len(instruments))
+    return [i * len(parameters) + k for i in instrument_indices for k in matches]
 
 
 def check_prior_names(recording: Recording, construction: Construction) -> None:

@@ -326,8 +326,8 @@ class FittedEffectEntry(Entry):
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
-        tried = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
-        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{tried})"
+        candidates_text = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
+        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{candidates_text})"
 
 
 class ReflectorEntry(Entry):

@@ -67,7 +67,7 @@ class GeometryStack(CellTruth):
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
         """Stack of true geometries with the same sightings."""
         first = truths[0]
-        shared = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
+        shared_fields = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
@@ -77,7 +77,7 @@ class GeometryStack(CellTruth):
         rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
         rows[order[0]] = np.stack(order, axis=1)
         return cls(
-            **shared,
+            **shared_fields,
             state=NetworkState(position, rotation, points, first.state.instrument_parameters),
             truths=truths,
             row_of_pointing=rows,
@@ -91,9 +91,9 @@ class GeometryStack(CellTruth):
 
     def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
         """Array (n, ...) of one trial from a stacked array (n, ..., B), in the trial's order of pointings."""
-        ordered = np.empty(stacked_array.shape[:-1])
-        ordered[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
-        return ordered
+        trial_array = np.empty(stacked_array.shape[:-1])
+        trial_array[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
+        return trial_array
 
     @cached_property
     def nominal_readings(self) -> Floats:
@@ -130,23 +130,24 @@ class GeometryStack(CellTruth):
 
     def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
         """Random values of the trials with these numbers."""
-        each = StandardNormalSource(seed, numbers).single_trial_sources()
+        sources = StandardNormalSource(seed, numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
-            for truth, numbers_of_trial in zip(self.truths, each, strict=True)
+            for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
         ]
         values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact_deviations(values)
-        alone = tuple(
+        single_trials = tuple(
             truth.block_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         amounts = tuple(
-            np.concatenate(parts, axis=1) for parts in zip(*(block.effect_values for block in alone), strict=True)
+            np.concatenate(parts, axis=1)
+            for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
-        gauge_error = np.concatenate([block.length_errors for block in alone], axis=1)
-        deviation = self.gather(block.reading_deviations[:, :, 0] for block in alone)
-        return TrialBatch(numbers, values, amounts, deviation, gauge_error, alone)
+        gauge_error = np.concatenate([block.length_errors for block in single_trials], axis=1)
+        deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
+        return TrialBatch(numbers, values, amounts, deviation, gauge_error, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
@@ -192,8 +193,8 @@ class StackCalibrator(TrialCalibrator):
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, len(block.single_trials)
         )
-        together = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(block, calibrated) if together else trial_numbers
+        is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
+        remaining = self._calibrate_batch(block, calibrated) if is_batch else trial_numbers
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
@@ -208,11 +209,13 @@ class StackCalibrator(TrialCalibrator):
         """Trials that the batch did not calibrate; results of the others are stored in `results`."""
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
-        parts: list[BatchNetwork] = []
+        blocks: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
-            shared = SharedQuantities(parts[0], stack.reading_derivatives[..., k], by_value[..., k]) if parts else None
-            parts.append(
+            shared = (
+                SharedQuantities(blocks[0], stack.reading_derivatives[..., k], by_value[..., k]) if blocks else None
+            )
+            blocks.append(
                 BatchNetwork(
                     recording,
                     truth.state,
@@ -222,13 +225,13 @@ class StackCalibrator(TrialCalibrator):
                     adjusted_observables=truth.recorded_observables,
                 )
             )
-        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(parts))
+        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(blocks))
         try:
             fit = network.fit_trials(block.reading_deviations, block.length_errors)
         except SetupError:
-            return np.arange(len(parts))
-        status = np.zeros(len(parts), dtype=np.int64)
-        together = CalibratedBlock(
+            return np.arange(len(blocks))
+        status = np.zeros(len(blocks), dtype=np.int64)
+        batch_results = CalibratedBlock(
             fit.instrument_values,
             network.parameter_sigmas,
             fit.target_increments,
@@ -238,19 +241,19 @@ class StackCalibrator(TrialCalibrator):
         )
         is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
-            results.copy_trial(int(trial), together, int(trial))
+            results.copy_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
     def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Difference between a trial and the full solver, as in `TrialCalibrator`."""
-        selected = slice(trial, trial + 1)
+        trial_slice = slice(trial, trial + 1)
         arrays = (
-            results.instrument_values[..., selected],
+            results.instrument_values[..., trial_slice],
             results.instrument_sigmas[..., trial],
-            results.target_errors[..., selected],
+            results.target_errors[..., trial_slice],
         )
-        single = CalibratedBlock(*arrays, results.chi2[selected], results.status_indices[selected])
-        return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single)
+        single_block = CalibratedBlock(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
+        return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single_block)
 
 
 @dataclass(frozen=True)

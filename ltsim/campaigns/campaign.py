@@ -134,10 +134,10 @@ def run_campaign(
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
-    spared = len(cells) * campaign.n_shards_per_cell - done - existing
-    if spared:
-        share = 100 * spared / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed: their cells had converged")
+    n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
+    if n_reused:
+        share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
+        notes.append(f"{folder}: {n_reused} shards ({share:.0f} % of all) were not needed: their cells had converged")
     return RunResult(folder, done, existing, tuple(notes))
 
 
@@ -161,19 +161,19 @@ def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
     """Notes on effects without influence; raises SetupError for an error that would stop every trial."""
-    idle = []
+    unused_settings = []
     for method in campaign.methods:
         estimated_construction(method)
         estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
-            idle += [
+            unused_settings += [
                 f"{where}: {note}" for note in ineffective_effect_notes(make_geometry(cell.scenario, campaign.seed))
             ]
             if cell.validation_scenario is not None:
                 make_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
-    return idle
+    return unused_settings
 
 
 def _extended_campaign(
@@ -213,8 +213,8 @@ def _extended_campaign(
             f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another --out"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
-    more = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
-    return campaign.model_copy(update=more), (*ordered, *remaining)
+    extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
+    return campaign.model_copy(update=extension), (*ordered, *remaining)
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:
@@ -256,14 +256,14 @@ def checkout_commit() -> str | None:
     not track the package, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
-    asked = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    git_arguments = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
         top, _, head = (
             subprocess.run(
-                ["git", *words], cwd=package, env=plain, capture_output=True, text=True, timeout=10, check=True
+                ["git", *words], cwd=package, env=environment, capture_output=True, text=True, timeout=10, check=True
             ).stdout.strip()
-            for words in asked
+            for words in git_arguments
         )
         return head if Path(top).samefile(package.parent) else None
     except (OSError, subprocess.SubprocessError):
@@ -331,7 +331,7 @@ def _iterate_results(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
     """Computed shards in order of completion; existing rows of a shard are part of its task."""
-    given = (
+    pending_tasks = (
         replace(
             t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None
         )
@@ -339,11 +339,11 @@ def _iterate_results(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in given), jobs, keeps_order=False)
+        yield from run_parallel(run_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_task)(task) for task in given)
+        yield from pool(delayed(run_task)(task) for task in pending_tasks)
 
 
 @contextmanager

@@ -94,12 +94,12 @@ def append_settings(
         for f in factors
     }
     metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
-    whole = cell | settings | columns
+    all_columns = cell | settings | columns
     fields = [
         pa.field(name, column.type, metadata=metadata.get(name) or _column_metadata(name, parameters))
-        for name, column in whole.items()
+        for name, column in all_columns.items()
     ]
-    return pa.table(list(whole.values()), schema=pa.schema(fields))
+    return pa.table(list(all_columns.values()), schema=pa.schema(fields))
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:

@@ -61,9 +61,9 @@ class CalibratedBlock:
         """All parameters, instrument by instrument and then effects, and their sigmas, each (I p + q, B) [SI]."""
         trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
-        parts = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
-        values = [v.reshape(-1, trials) for v, _ in parts]
-        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in parts]
+        value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
+        values = [v.reshape(-1, trials) for v, _ in value_groups]
+        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in value_groups]
         return np.concatenate(values), np.concatenate(sigmas)
 
     @classmethod
@@ -146,8 +146,10 @@ def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
 
     `deviation` (n, 3, B) are deviations of readings to points `local_points`, (n, 3, B) or (n, 3, 1) for common points.
     """
-    across = np.hypot(local_points[:, 0], local_points[:, 1])
-    miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local_points**2, axis=1))], axis=1)
+    horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
+    miss = deviation * np.stack(
+        [np.ones_like(horizontal), horizontal, np.sqrt(np.sum(local_points**2, axis=1))], axis=1
+    )
     far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_SUSPECT_DEVIATION_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
@@ -230,9 +232,9 @@ class BatchCalibrator(TrialCalibrator):
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
         extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        further = fit.effect_values, extra, fit.incidence_parameters
+        other_arrays = fit.effect_values, extra, fit.incidence_parameters
         return CalibratedBlock(
-            fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *further
+            fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
@@ -242,9 +244,9 @@ class BatchCalibrator(TrialCalibrator):
         is_sufficient = good & ~is_suspect_trial(
             block.reading_deviations, self.truth.sightings.local_points[:, :, None]
         )
-        alone = trial_numbers[~is_sufficient[trial_numbers]]
-        per_trial = self.serial_calibrator.calibrate(block, alone) if len(alone) else calibrated
-        for trial in alone.tolist():
+        single_trials = trial_numbers[~is_sufficient[trial_numbers]]
+        per_trial = self.serial_calibrator.calibrate(block, single_trials) if len(single_trials) else calibrated
+        for trial in single_trials.tolist():
             calibrated.copy_trial(trial, per_trial, trial)
             calibrated.status_indices[trial] = TRIAL_STATUSES.index(
                 WITHOUT_RESULT if per_trial.status_indices[trial] else FULL_SOLVER
@@ -257,16 +259,18 @@ class BatchCalibrator(TrialCalibrator):
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
         trial.
         """
-        other = self.serial_calibrator.calibrate(block, np.array([trial]))
-        if other.status_indices[trial] != 0:
+        serial_block = self.serial_calibrator.calibrate(block, np.array([trial]))
+        if serial_block.status_indices[trial] != 0:
             return float("nan")
         values = (
-            np.abs(other.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
+            np.abs(serial_block.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
         truth = self.truth.state.target_points
         batch = truth + results.target_errors[:, :, trial]
-        gap = np.abs(align_to_points(truth + other.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
+        gap = (
+            np.abs(align_to_points(truth + serial_block.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
+        )
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property

@@ -46,13 +46,13 @@ class ChainProgram(NamedTuple):
     def from_construction(cls, construction: Construction, readings: Floats) -> Self:
         """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
         slots = [term.slot for term in construction.terms]
-        fed = {
+        motions_by_slot = {
             m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
             for m in construction.kinematic_chain
             if m.slot
         }
-        motions = [m for m in construction.kinematic_chain if m.nominal is not None or fed.get(m.slot)]
-        feeds = [fed.get(m.slot, []) for m in motions]
+        motions = [m for m in construction.kinematic_chain if m.nominal is not None or motions_by_slot.get(m.slot)]
+        feeds = [motions_by_slot.get(m.slot, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
@@ -89,8 +89,8 @@ def _reading_index(motion: ElementaryMotion) -> int:
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    moved = np.asarray(motion.nominal(probe))
-    return next((c for c in range(3) if moved[c + 1] != moved[0]), -1)
+    amounts = np.asarray(motion.nominal(probe))
+    return next((c for c in range(3) if amounts[c + 1] != amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
@@ -103,8 +103,10 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 def _basis_derivatives(construction: Construction, readings: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis with respect to the readings."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
-    moved = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
+    shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (
-        construction.basis_values(moved).T.reshape(construction.n_parameters, 2, 3, len(readings)).swapaxes(0, 1)
+        construction.basis_values(shifted_readings)
+        .T.reshape(construction.n_parameters, 2, 3, len(readings))
+        .swapaxes(0, 1)
     )
     return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DERIVATIVE_STEP), 1, 2))

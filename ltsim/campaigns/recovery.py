@@ -131,7 +131,7 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks that fail."""
+        """Checks of the trials that failed."""
         return [check for check in self.checks if not check.passed]
 
     def verdict_text(self) -> str:
@@ -235,14 +235,14 @@ def recover(
         split_command(calibrator)
     elif calibrator is not None:
         jobs = 1
-    named = effect_tuple(with_effects)
-    example = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(parse_requested_effect(text, example) for text in named if example is not None)
-    built = true_construction if construction is None else construction_called(construction)
-    how = RecoverySettings(method, built, extra_effects, calibrator, mode)
+    effects = effect_tuple(with_effects)
+    example = simulate(scenario, seed=seed).recording if effects else None
+    extra_effects = tuple(parse_requested_effect(text, example) for text in effects if example is not None)
+    model = true_construction if construction is None else construction_called(construction)
+    settings = RecoverySettings(method, model, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
-    with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
+    with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for outcome in outcomes:
             if isinstance(outcome, FailedTrial):
                 failed, problem = failed + outcome.is_external, outcome.reason

@@ -120,9 +120,11 @@ def recovery_checks(
     'a passes: share of errors within 0.5 = 1 (allowed 0.95 to 1)'
     """
     estimate, truth = np.atleast_2d(estimate), np.atleast_2d(truth)
-    called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
-    if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
-        raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
+    names_used = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
+    if estimate.shape != truth.shape or len(names_used) != estimate.shape[1]:
+        raise ModelError(
+            f"estimates are {estimate.shape}, truths {truth.shape}, names {len(names_used)}: give one of each"
+        )
     if len(estimate) < MIN_TRIALS:
         raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
     if sigma is None and not tolerance:
@@ -131,16 +133,16 @@ def recovery_checks(
         raise ModelError(
             f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give one sigma per value"
         )
-    if unknown := [name for name in tolerance or () if name not in called]:
-        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(called)}")
-    indices = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
+    if unknown := [name for name in tolerance or () if name not in names_used]:
+        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(names_used)}")
+    indices = [k for k, name in enumerate(names_used) if not tolerance or name in tolerance]
     checks = []
     for k in indices:
         if sigma is not None:
             z = (estimate[:, k] - truth[:, k]) / np.atleast_2d(sigma)[:, k]
-            checks += parameter_checks(called[k], z, alpha / (3 * len(indices)))
+            checks += parameter_checks(names_used[k], z, alpha / (3 * len(indices)))
         if tolerance:
-            checks.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
+            checks.append(tolerance_check(names_used[k], estimate[:, k] - truth[:, k], tolerance[names_used[k]]))
     return checks
 
 
@@ -157,16 +159,19 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
     count = len(z_scores)
     shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(alpha / 2) / np.sqrt(count)))
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], count - 1) / (count - 1)
-    inside = stats.binom.ppf([alpha / 2, 1 - alpha / 2], count, NOMINAL_COVERAGE) / count
-    covered = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
+    coverage_limits = stats.binom.ppf([alpha / 2, 1 - alpha / 2], count, NOMINAL_COVERAGE) / count
+    coverage = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
     deviation = min(1 - DEVIATION_Z_MARGIN, np.sqrt(tails[0])), max(1 + DEVIATION_Z_MARGIN, np.sqrt(tails[1]))
-    held = min(NOMINAL_COVERAGE - COVERAGE_MARGIN, inside[0]), max(NOMINAL_COVERAGE + COVERAGE_MARGIN, inside[1])
+    limits = (
+        min(NOMINAL_COVERAGE - COVERAGE_MARGIN, coverage_limits[0]),
+        max(NOMINAL_COVERAGE + COVERAGE_MARGIN, coverage_limits[1]),
+    )
     return [
         RecoveryCheck.from_value(name, "mean z-score", float(z_scores.mean()), -shift, shift),
         RecoveryCheck.from_value(
             name, "standard deviation of the z-scores", float(z_scores.std(ddof=1)), *map(float, deviation)
         ),
-        RecoveryCheck.from_value(name, "coverage of 95 % intervals", covered, *map(float, held)),
+        RecoveryCheck.from_value(name, "coverage of 95 % intervals", coverage, *map(float, limits)),
     ]
 
 
@@ -202,7 +207,7 @@ def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float)
         if median > 0
         else MAX_RELATIVE_DEVIATION
     )
-    within = max(
+    margin = max(
         NETWORK_MARGIN, float(stats.t.isf(alpha / 2, len(trial_values) - 1)) * relative / np.sqrt(len(trial_values))
     )
-    return RecoveryCheck.from_value(subject, statistic, float(trial_values.mean()), max(1 - within, 0.0), 1 + within)
+    return RecoveryCheck.from_value(subject, statistic, float(trial_values.mean()), max(1 - margin, 0.0), 1 + margin)

@@ -79,13 +79,13 @@ class CampaignResults(CampaignStatistics, Result):
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
-        quoted = [self._sql_column(column) for column in columns]
-        condition_text = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
+        sql_columns = [self._sql_column(column) for column in columns]
+        condition_text = " AND ".join(f"isfinite({name})" for name in sql_columns) or "true"
         name = getattr(function, "__name__", type(function).__name__)
         spreads = []
         for cell in range(len(self.levels)):
             for method in sorted(self.manifest.methods):
-                values = self.term_values(quoted, cell, method, condition_text)
+                values = self.term_values(sql_columns, cell, method, condition_text)
                 count = values.shape[1]
                 if not count:
                     continue
@@ -189,5 +189,5 @@ def _checked_number(function: Callable[..., float], columns: Floats) -> float:
 
 def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
     """Sorted numbers, so that an axis can be sliced; texts keep the order of the file."""
-    listed = list(levels)
-    return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed
+    level_list = list(levels)
+    return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list

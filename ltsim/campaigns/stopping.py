@@ -42,11 +42,11 @@ def interval_error_rate(trials: int, shard: int, *, is_stopping: bool) -> float:
 
 def evaluation_schedule(trials: int, shard: int) -> list[int]:
     """Numbers of shards after which a cell is evaluated."""
-    whole = -(-trials // shard)
-    done = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), whole)]
-    while done[-1] < whole:
-        done.append(min(math.ceil(ROUND_GROWTH_FACTOR * done[-1]), whole))
-    return done
+    n_shards = -(-trials // shard)
+    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), n_shards)]
+    while schedule[-1] < n_shards:
+        schedule.append(min(math.ceil(ROUND_GROWTH_FACTOR * schedule[-1]), n_shards))
+    return schedule
 
 
 def iterate_rounds(

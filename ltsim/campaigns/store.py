@@ -42,11 +42,11 @@ DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/sha
 
 def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
     """Bytes of a table as a Parquet file; `key` is stored as its metadata."""
-    labelled = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
-    words = [f.name for f in labelled.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
+    table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
+    words = [f.name for f in table_with_key.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
     pq.write_table(
-        labelled,
+        table_with_key,
         sink,
         version="2.6",
         data_page_version="2.0",
@@ -55,7 +55,7 @@ def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
         use_dictionary=words,
         write_statistics=True,
         write_page_checksum=True,
-        row_group_size=max(len(labelled), 1),
+        row_group_size=max(len(table_with_key), 1),
     )
     return sink.getvalue().to_pybytes()
 
@@ -158,8 +158,10 @@ class CampaignFolder:
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
         remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
-        there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
-        return remaining + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
+        existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
+        return remaining + [
+            n for n, path in existing_paths.items() if not path.is_file() or path.read_bytes() != sources[n]
+        ]
 
     def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
@@ -194,11 +196,11 @@ class CampaignFolder:
     def quarantine(self, cell: int, shard: int) -> Path:
         """Path of a damaged shard after it was renamed for inspection."""
         path = self.shard_path(cell, shard)
-        aside = path.with_suffix(".damaged")
-        path_in_folder(self.folder, aside.relative_to(self.folder).as_posix())
+        damaged_path = path.with_suffix(".damaged")
+        path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())
         with self._storage_errors():
-            os.replace(path, aside)
-        return aside
+            os.replace(path, damaged_path)
+        return damaged_path
 
     def remove_unfinished_files(self) -> None:
         """Removal of unfinished files of a killed run: temporary files, and an incomplete line of the digests."""
@@ -252,5 +254,5 @@ def _file_digest(path: Path) -> str:
 
 def sql_path(path: Path) -> str:
     """Path for SQL, with brackets and asterisks not interpreted as patterns."""
-    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
-    return "'" + plain.replace("'", "''") + "'"
+    escaped_path = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
+    return "'" + escaped_path.replace("'", "''") + "'"

@@ -116,10 +116,10 @@ class TrialEvaluator:
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
-        moved = np.empty_like(truth)
+        aligned = np.empty_like(truth)
         for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
-            align_rigidly(cloud, truth, visible, moved)
-            count += add_square_error(moved, truth, visible, total)
+            align_rigidly(cloud, truth, visible, aligned)
+            count += add_square_error(aligned, truth, visible, total)
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
@@ -142,10 +142,10 @@ class TrialEvaluator:
 
     def common_columns(self, block: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
-        raw = self.station_clouds(block.reading_deviations)
+        raw_clouds = self.station_clouds(block.reading_deviations)
         perfect = self.station_clouds(block.reading_deviations, self.truth.construction, block.instrument_values)
-        columns: ResultColumns = self.criteria_columns(raw, "before") if self.has_criteria else {}
-        columns["error_raw_um"] = self.cloud_error(raw)
+        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
+        columns["error_raw_um"] = self.cloud_error(raw_clouds)
         columns["error_true_parameters_um"] = self.cloud_error(perfect)
         return columns
 
@@ -165,8 +165,8 @@ class TrialEvaluator:
             deviation = deviation - np.einsum(
                 "ncqb,qb->ncb", self.truth.effect_design_function(tuple(effects)), estimates.effect_values
             )
-        calibrated = self.station_clouds(deviation, construction, estimates.instrument_values)
-        columns: ResultColumns = self.criteria_columns(calibrated, "after") if self.has_criteria else {}
-        columns["error_calibrated_um"] = self.cloud_error(calibrated)
+        corrected_clouds = self.station_clouds(deviation, construction, estimates.instrument_values)
+        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
+        columns["error_calibrated_um"] = self.cloud_error(corrected_clouds)
         columns["target_error_um"] = self.target_error(estimates.target_errors)
         return columns

@@ -255,10 +255,10 @@ def make_cell_truth(
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    work = make_geometry(scenario, seed, *key, plan=plan)
-    if work.sightings.reflector_offsets is not None and np.any(work.sightings.reflector_offsets):
+    geometry = make_geometry(scenario, seed, *key, plan=plan)
+    if geometry.sightings.reflector_offsets is not None and np.any(geometry.sightings.reflector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
-    s, reference = work.sightings, None if reference_truth is None else reference_truth.recording
+    s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
     if (
         reference_truth
         and reference
@@ -268,19 +268,19 @@ def make_cell_truth(
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
         there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw_readings, notes=work.hidden_pair_notes),
-            _start_frame(work, there.instrument_means),
+            reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
+            _start_frame(geometry, there.instrument_means),
         )
-        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=work)
-    recording = error_free_recording(work)
-    population = trial_distributions(work, recording)
+        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)
+    recording = error_free_recording(geometry)
+    population = trial_distributions(geometry, recording)
     return CellTruth(
         recording=recording,
-        state=_start_frame(work, population.instrument_means),
+        state=_start_frame(geometry, population.instrument_means),
         distributions=population,
         resolution=instrument_resolutions(scenario),
         recorded_observables=np.isin(OBSERVABLES, [*next(iter(read))]),
-        geometry=work,
+        geometry=geometry,
     )
 
 

@@ -56,8 +56,8 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 
 def _title_and_cause(effect: type[Effect]) -> str:
-    listed = catalogue_entry(effect)
-    return f"{listed.title}: {listed.cause_description}"
+    entry = catalogue_entry(effect)
+    return f"{entry.title}: {entry.cause_description}"
 
 
 def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:

@@ -199,8 +199,11 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     from ltsim.reports.style import png_bytes
     from ltsim.reports.work_order import work_order_page
 
-    drawn = {WORK_ORDER_FILE: work_order_page(plan_result).encode(), FLOOR_PLAN_FILE: png_bytes(plan_result.plot())}
-    return drawn | (
+    content_by_name = {
+        WORK_ORDER_FILE: work_order_page(plan_result).encode(),
+        FLOOR_PLAN_FILE: png_bytes(plan_result.plot()),
+    }
+    return content_by_name | (
         {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.quality))))}
         if plan_result.tradeoff
         else {}

@@ -57,8 +57,8 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
                 value = kind(text)
             except ValueError:
                 value = text
-        given: dict[str, Any] = {argument_name: value}
-        check_bounds(**given)
+        values: dict[str, Any] = {argument_name: value}
+        check_bounds(**values)
         return value  # type: ignore[return-value]
 
     return parse_bounded

@@ -53,8 +53,8 @@ def with_expanded_uncertainty(
 
 def decimals_of_sigma(sigma: float) -> int:
     """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
-    rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
-    return min(max(1 - math.floor(math.log10(rounded)), 0), MAX_DECIMALS)
+    rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
+    return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
 
 
 def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:

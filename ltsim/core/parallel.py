@@ -39,10 +39,10 @@ def run_parallel(
     from joblib import Parallel, delayed, parallel_config  # most runs need one process
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    how = "generator" if keeps_order else "generator_unordered"
+    return_as = "generator" if keeps_order else "generator_unordered"
     watching = {"initializer": _watch_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
-        pool = Parallel(n_jobs=n_processes, return_as=how, batch_size=calls_per_batch)
+        pool = Parallel(n_jobs=n_processes, return_as=return_as, batch_size=calls_per_batch)
     with _without_working_folder():
         results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
@@ -65,15 +65,15 @@ def _without_working_folder() -> Iterator[None]:
 
     A `numpy.py` in the working folder would run in place of numpy.
     """
-    before = os.environ.get(SAFE_PATH)
+    old_value = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
         yield
     finally:
-        if before is None:
+        if old_value is None:
             del os.environ[SAFE_PATH]
         else:
-            os.environ[SAFE_PATH] = before
+            os.environ[SAFE_PATH] = old_value
 
 
 def _watch_parent(parent_process_id: int) -> None:

@@ -176,8 +176,8 @@ class Table(ValueEquality):
     @classmethod
     def from_columns(cls, table_name: str, columns: ColumnValues, table_description: str = "") -> Table:
         """Table of columns that are not declared in advance, such as additional columns of a recording."""
-        made = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
-        return cls(f"{table_name}.csv", table_description, made, tuple(zip(*columns.values(), strict=True)))
+        table_columns = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
+        return cls(f"{table_name}.csv", table_description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
         """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
@@ -205,11 +205,11 @@ class Table(ValueEquality):
     def with_columns(self, names: str) -> Table:
         """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
         by_name = {column.name: column for column in self.columns}
-        wanted = [by_name[name] for name in names.split() if name in by_name]
-        needed = dict.fromkeys(name for c in wanted for name in (c.name, c.sigma or c.like) if name)
-        at = [self.header.index(name) for name in needed]
-        rows = tuple(tuple(row[i] for i in at) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
+        columns_used = [by_name[name] for name in names.split() if name in by_name]
+        names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
+        indices = [self.header.index(name) for name in names_used]
+        rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in indices), rows=rows)
 
     def column(self, column_name: str) -> list[Any]:
         """All cells of one column; raises ModelError."""
@@ -270,9 +270,11 @@ class Table(ValueEquality):
     @property
     def _displayed_columns(self) -> list[Column]:
         """Displayed columns: no empty ones, and no standard deviations, which share a cell with their value."""
-        merged = {column.sigma for column in self.columns}
-        empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
-        return [column for column in self.columns if column.name not in merged | empty]
+        merged_names = {column.sigma for column in self.columns}
+        empty_names = {
+            c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)
+        }
+        return [column for column in self.columns if column.name not in merged_names | empty_names]
 
     @property
     def headings(self) -> list[str]:
@@ -287,8 +289,8 @@ class Table(ValueEquality):
     def cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        displayed = [(c, c.sigma or c.like) for c in self._displayed_columns]
-        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in displayed] for row in self.rows]
+        column_pairs = [(c, c.sigma or c.like) for c in self._displayed_columns]
+        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in column_pairs] for row in self.rows]
 
     def text(self) -> str:
         """Aligned text for a terminal: text flush left, numbers flush right."""
@@ -347,12 +349,12 @@ class Result(ValueEquality):
             When the result has no such table.
         """
         tables = self._tables()
-        chosen = next(iter(tables), "") if table_name is None else table_name
-        if chosen not in tables:
+        name = next(iter(tables), "") if table_name is None else table_name
+        if name not in tables:
             kind = type(self).__name__
-            raise unknown_name(f"table of a {kind}", chosen, tables) if tables else ModelError(f"{kind} has no table")
-        made = tables[chosen]()
-        return made if isinstance(made, Table) else Table.from_columns(chosen, made)
+            raise unknown_name(f"table of a {kind}", name, tables) if tables else ModelError(f"{kind} has no table")
+        content = tables[name]()
+        return content if isinstance(content, Table) else Table.from_columns(name, content)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
         """A table of the result as a data frame; raises ModelError as `table`, SetupError without pandas."""

@@ -69,7 +69,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
     Raises OSError.
     """
-    finished: set[str] = set()
+    finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
         try:
             moves = json.loads(journal.read_bytes())
@@ -81,11 +81,11 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
         if valid:
             moves = {source: name for source, name in moves.items() if _is_inside(folder, source)}
             _rename_files(folder, moves, flush_to_disk=False)
-            finished.update(moves.values())
+            finished_names.update(moves.values())
         journal.unlink(missing_ok=True)
     for temporary in _abandoned_files(folder, "tmp"):
         temporary.unlink(missing_ok=True)
-    return finished
+    return finished_names
 
 
 def path_in_folder(folder: Path, file_name: str) -> Path:

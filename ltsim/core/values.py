@@ -54,8 +54,8 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
         return all(equal_values(getattr(first_value, name), getattr(second_value, name)) for name in compared)
     if isinstance(first_value, BaseModel):
         return equal_values(first_value.__dict__, second_value.__dict__)
-    parts = _parts_of(first_value)
-    return bool(first_value == second_value) if parts is None else equal_values(parts, _parts_of(second_value))
+    contents = _parts_of(first_value)
+    return bool(first_value == second_value) if contents is None else equal_values(contents, _parts_of(second_value))
 
 
 def _parts_of(object_value: Any) -> tuple[Any, ...] | None:

@@ -41,8 +41,10 @@ def assemble_diagnosis(
     clock = case.recording.has_clock
     noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
     certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
-    alone = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
-    likely = (certain + [finding for finding in shifts if finding not in certain] or noises) if alone else certain
+    is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
+    likely = (
+        (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
+    )
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
     room = max(MAX_REPORTED_FINDINGS - len(certain_findings), 0)
     findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)

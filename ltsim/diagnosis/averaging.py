@@ -84,9 +84,9 @@ def _safe_fraction_of_change(adjustment: Adjustment, change: Floats, deviations:
     )[:, 0]
     along = np.zeros(adjustment.solution.system.design.shape[1])
     along[problem.unknowns.target_columns.ravel()] = shift
-    disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
+    disagreements = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
     spread = float(
-        along @ adjustment.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed
+        along @ adjustment.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreements @ disagreements
     )
     noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(deviations**2))
     return safe_fraction(float(shift @ shift), spread, noise)
@@ -105,9 +105,9 @@ def safe_fraction(size: float, spread: float, noise: float) -> float:
     """
     if size == 0.0:
         return 1.0
-    bad = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
-    grown = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
-    return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
+    linear_term = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
+    allowed_increase = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
+    return min(1.0, float(np.sqrt(linear_term**2 + size * allowed_increase) - linear_term) / size)
 
 
 def model_weights(
@@ -120,15 +120,15 @@ def model_weights(
     none, *rest_of = normalised_probabilities(
         np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
     ).tolist()
-    likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
-    entries = [(h, p) for h, p in likely if not _is_noise_hypothesis(h)]
+    probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
+    entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
     entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
-    rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    shaped = _instances_at_probable_shapes(searcher, other_effects, selected)
-    changes = [expected_change(searcher, other_effects, h) for h, _ in (*shaped, *entries)]
+    p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
+    instances = _instances_at_probable_shapes(searcher, other_effects, selected)
+    changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *entries)]
     changes.append(np.zeros_like(changes[0]))
-    weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
+    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(changes)
 
 

@@ -120,8 +120,8 @@ class CatalogueSignatures:
     def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
-        sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
-        dense: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
+        sparse_signatures: dict[int, list[tuple[int, Ints, Singles]]] = {}
+        dense_signatures: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
         read = np.nonzero(space.used_readings)
         other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
@@ -138,16 +138,16 @@ class CatalogueSignatures:
             effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
             rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
             if is_sparse:
-                sparse.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
+                sparse_signatures.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
             else:
-                members, made = dense.setdefault((len(rows), tuple(touched.tolist())), ([], []))
+                members, made = dense_signatures.setdefault((len(rows), tuple(touched.tolist())), ([], []))
                 members.append(len(touching))
                 made.append(rows)
             touching.append(effect)
-        groups = [_sparse_group(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
+        groups = [_sparse_group(size, sparse_signatures.pop(size), space.n_rows) for size in sorted(sparse_signatures)]
         groups += [
             _dense_group(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
-            for (size, kinds), (members, made) in sorted(dense.items())
+            for (size, kinds), (members, made) in sorted(dense_signatures.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
@@ -231,7 +231,7 @@ class FamilyMeans:
 
 
 def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
-    """Effect with a plausible size raised to the noise level, and the factor.
+    """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
     The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
     whitened signature of plausible size, and the pointing (r,) of each.
@@ -243,8 +243,8 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     ):
         return effect, 1.0
     squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
-    coarser = noise_level_factor(np.sqrt(squares))
-    return replace(effect, size_factor=coarser) if coarser > 1.0 else effect, coarser
+    factor = noise_level_factor(np.sqrt(squares))
+    return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
 
 
 def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:

@@ -96,7 +96,7 @@ def diagnose(
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
-    compared = (
+    comparison = (
         find_contradictions
         if history is None
         else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
@@ -110,32 +110,39 @@ def diagnose(
     case = SelectionState(baseline, use, seed, level, tests_ordinary_constants=history is None)
     detection = detect(case.searcher, case.noise_bank)
     mismatch = detection.p_value < level
-    beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
+    beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
     if selection is not None and model.members:
         restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             del case, beginning, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, is_restored=restored)
             case = SelectionState(baseline, use, seed, None, tests_ordinary_constants=history is None)
-            beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
-    settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
-    contradicting = _contradicting_constants(case, model, settled, compared)
-    odd = [instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)][
-        :MAX_MODEL_MEMBERS
-    ]
-    explained = ExplainedRecording(
-        case, detection, model, fitted, bool(mistaken or odd or _has_more_than_noise_level(case.noise))
+            beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
+    final_adjustment = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
+    contradicting = _contradicting_constants(case, model, final_adjustment, comparison)
+    constant_findings = [
+        instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)
+    ][:MAX_MODEL_MEMBERS]
+    model_fit = ExplainedRecording(
+        case, detection, model, fitted, bool(mistaken or constant_findings or _has_more_than_noise_level(case.noise))
     )
-    repeated = not case.searcher.is_large_network if held_out is None else held_out
+    repeats_search = not case.searcher.is_large_network if held_out is None else held_out
     errors = (
         HeldOutErrors()
-        if case.searcher.is_large_network and not repeated
-        else _held_out_errors(explained, MIN_EFFECT_LOG_EVIDENCE, repeated)
+        if case.searcher.is_large_network and not repeats_search
+        else _held_out_errors(model_fit, MIN_EFFECT_LOG_EVIDENCE, repeats_search)
     )
     detectability = detectability_report(*beginning)
     source = SourceEntry.from_recording(recording)
     return assemble_diagnosis(
-        source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch
+        source,
+        model_fit,
+        detectability,
+        [*mistaken, *constant_findings],
+        final_adjustment,
+        errors,
+        selection,
+        mismatch=mismatch,
     )
 
 
@@ -167,10 +174,10 @@ def _contradicting_constants(
     with_model = comparison(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if not model.members:
         return with_model
-    alone = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     size = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
-        for contradiction in alone
+        for contradiction in contradictions
     }
     return [
         c
@@ -271,12 +278,12 @@ def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], p_othe
     """
     values = np.array([value for value, _ in ranked])
     weights = np.exp(values - log_sum_exp(np.array([0.0, p_other, *values])))
-    named: dict[str, float] = {}
+    p_by_name: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
-        named[entry.effect.name] = min(named.get(entry.effect.name, 0.0) + weight, 1.0)
-    name = most_probable_name(named)
+        p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)
+    name = most_probable_name(p_by_name)
     value, best = next(entry for entry in ranked if entry[1].effect.name == name)
-    probability, rivals = name_probabilities(named, name)
+    probability, rivals = name_probabilities(p_by_name, name)
     return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 

@@ -42,8 +42,8 @@ MAX_SCREENED_EVIDENCE_TIE = 1e-4
 
 def index_of_best(values: Floats) -> int:
     """Index of the largest value; the middle one if several are equal, as on a plateau."""
-    best = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
-    return int(best[(len(best) - 1) // 2])
+    ties = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
+    return int(ties[(len(ties) - 1) // 2])
 
 
 def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
@@ -211,10 +211,10 @@ def noise_level_factor(strength: Floats) -> float:
     `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
     pointings becomes 1.
     """
-    touched = np.sort(strength[strength > 0])
-    if not len(touched):
+    positive = np.sort(strength[strength > 0])
+    if not len(positive):
         return 1.0
-    median = 0.5 * float(touched[(len(touched) - 1) // 2] + touched[len(touched) // 2])
+    median = 0.5 * float(positive[(len(positive) - 1) // 2] + positive[len(positive) // 2])
     return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR), 1.0)
 
 

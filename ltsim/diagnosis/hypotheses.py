@@ -239,34 +239,34 @@ def _log_evidence_over_sizes(model: Model) -> float:
     gram, score = model.gram_and_scores
     spread, owner = _plausible_sizes(model.members)
     count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
-    bordered = np.block([[gram, score[:, None]], [score, whole]])
+    bordered_matrix = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
         """Log evidence with prior (b,) at sizes (b, members)."""
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
-        factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + unit_prior)
+        factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
         value: Floats = fit - size + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
     best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))
-    near = [every] * count
+    neighbours = [every] * count
     for _ in range(2 if count > 1 else 0):
         for i in range(count):
             tried = np.tile(best, (len(EVIDENCE_SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
             best[i] = index_of_best(values)
-            near[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
-    return float(log_sum_exp(evidence(np.array(list(product(*near))))))
+            neighbours[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
+    return float(log_sum_exp(evidence(np.array(list(product(*neighbours))))))
 
 
 def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all coefficients, and the member (k,) of each."""
-    each = [h.plausible_sizes for h in members]
-    return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
+    size_sets = [h.plausible_sizes for h in members]
+    return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
 def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:

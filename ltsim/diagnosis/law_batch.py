@@ -70,16 +70,16 @@ class RowPartition:
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> RowPartition:
         """Partition of `n_pointings` pointings by the places that they belong to."""
-        inside = np.zeros((len(places), n_pointings), dtype=bool)
-        for here, place in zip(inside, places, strict=True):
+        is_inside = np.zeros((len(places), n_pointings), dtype=bool)
+        for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
-        _, first, cell = np.unique(np.packbits(inside, axis=0), axis=1, return_index=True, return_inverse=True)
+        _, first, cell = np.unique(np.packbits(is_inside, axis=0), axis=1, return_index=True, return_inverse=True)
         order = np.argsort(cell.ravel(), kind="stable")
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
-        return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
+        return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Chunks of at most `max_pointings`: slice of the order, pointings, and slice of each cell in the chunk."""
+        """Groups of at most `max_pointings` pointings: slice of the order, pointings, and slices of their cells."""
         for start in range(0, len(self.order), max_pointings):
             end = min(start + max_pointings, len(self.order))
             first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
@@ -172,9 +172,11 @@ class LawBatch:
         step = max(
             1, min(MAX_COLUMNS_AT_PLACES // products, MAX_COLUMN_ENTRIES // self.columns.n_entries_per_regressor)
         )
-        parts = [self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
-        values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
-        null = log_sum_exp(np.stack([null for _, null in parts]))
+        batch_results = [
+            self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)
+        ]
+        values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
+        null = log_sum_exp(np.stack([null for _, null in batch_results]))
         best_index = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[
             :, :MAX_HITS_PER_PLACE
         ]
@@ -203,20 +205,20 @@ class LawBatch:
             if probe.n_trials:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
-        each = [
+        log_evidences = [
             log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
             for strength, turn in self._quadratic_forms[regressors.start]
         ]
-        return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
+        return log_sum_exp(np.stack(log_evidences)) + self.log_prior[:, None, None], log_sum_exp(null)
 
     def _eigen_decomposition(self, gram: Floats, regressors: slice) -> list[tuple[Floats, Singles]]:
         """Eigenvalues (P, C, d, k) per scale, and the matrix that transforms scores to eigenvectors."""
-        turned = []
+        transforms = []
         for spread in (spread[regressors] for spread in self._prior_sigmas):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
-            turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
-        return turned
+            transforms.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+        return transforms
 
     def _products_with_ensemble(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
@@ -231,8 +233,8 @@ class LawBatch:
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
-        return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
+        products = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+        return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
@@ -248,8 +250,8 @@ class LawBatch:
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ pairs[at]
-        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
-        return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)
+        grams = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+        return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
 
 
 def score_batches(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:

@@ -16,9 +16,11 @@ from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
+from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, with_centring
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.signature import CandidateEffect, Signature
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
@@ -57,7 +59,12 @@ class SelectionState:
         """Search in the residual space; scores are computed on first use."""
         if self._searcher is None:
             before = self._ranked_noise
-            cards = None if before is None else before.catalogue_signatures.with_weights_of(before.space, self.space)
+            is_reusable = before is not None and before.space.n_rows == self.space.n_rows
+            cards = (
+                None
+                if before is None or not is_reusable
+                else before.catalogue_signatures.with_weights_of(before.space, self.space)
+            )
             trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
             self._ranked_noise = None
             self._searcher = Searcher(
@@ -76,8 +83,8 @@ class SelectionState:
 
     @property
     def recording(self) -> Recording:
-        """Recording with corrected blunders."""
-        return self.baseline.recording
+        """Recording with corrected blunders, which declares the centring errors among the changes of the noise."""
+        return with_centring(self.baseline.recording, self.noise)
 
     def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
         """Nonlinear refit with effects; without effects the ordinary adjustment.
@@ -113,10 +120,10 @@ class SelectionState:
             freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
         prior = old.problem.prior.with_free_parameters(freed)
         self.baseline = adjust(
-            self.recording,
+            old.recording,
             old.construction,
             effects=old.effects,
-            sigma=self.recording.sigma(),
+            sigma=old.recording.sigma(),
             reading_mask=self.is_used,
             start_state=old.state,
             prior=prior,
@@ -135,7 +142,10 @@ class SelectionState:
     def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        return self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
+        ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
+        for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):
+            ranked.append((gain + self.noise_bank.log_prior_of_family(hypothesis.family), hypothesis))
+        return sorted(ranked, key=lambda entry: -entry[0])
 
     def add_noise(self, new_hypothesis: NoiseHypothesis) -> None:
         """Addition of a change of the noise; one of the same kind at the same place is increased."""
@@ -164,7 +174,7 @@ class SelectionState:
         Each change of the noise is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
-        for change in self.noise:
+        for change in (n for n in self.noise if not isinstance(n.effect, CentringVariance)):
             others = self._weighted_sigmas([n for n in self.noise if n is not change])
             space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
             factors *= self._noise_bank(space).expected_factors()

@@ -163,8 +163,10 @@ class EpochDifference:
         """Chi-square of one point's separate difference; None in a free frame."""
         if self.free_motions.shape[1]:
             return None
-        at = coordinate_rows([point], len(self.compared_axes))
-        return float(self.differences[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.differences[at]))
+        rows = coordinate_rows([point], len(self.compared_axes))
+        return float(
+            self.differences[rows] @ np.linalg.solve(self.covariance[np.ix_(rows, rows)], self.differences[rows])
+        )
 
     @cached_property
     def _whitening_root(self) -> Floats:
@@ -236,22 +238,22 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
 
     After each addition all are tested again given the others.
     """
-    moved: list[int] = []
+    moved_points: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
-    most = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
-    while len(moved) < min(len(tested_indices), most):
-        now = difference.sum_of_squares(moved)
-        rest = [p for p in tested_indices if p not in moved]
-        drops = [now - difference.sum_of_squares([*moved, p]) for p in rest]
+    max_moved = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
+    while len(moved_points) < min(len(tested_indices), max_moved):
+        now = difference.sum_of_squares(moved_points)
+        rest = [p for p in tested_indices if p not in moved_points]
+        drops = [now - difference.sum_of_squares([*moved_points, p]) for p in rest]
         best = int(np.argmax(drops))
         if drops[best] < limit:
             break
-        moved.append(int(rest[best]))
-    for point in list(moved):
-        others = [p for p in moved if p != point]
-        if difference.sum_of_squares(others) - difference.sum_of_squares(moved) < limit:
-            moved = others
-    return moved
+        moved_points.append(int(rest[best]))
+    for point in list(moved_points):
+        others = [p for p in moved_points if p != point]
+        if difference.sum_of_squares(others) - difference.sum_of_squares(moved_points) < limit:
+            moved_points = others
+    return moved_points
 
 
 def _displacement_of_point(

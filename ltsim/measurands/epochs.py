@@ -59,12 +59,12 @@ def compare_adjustments(
 
     Options and errors as `lt.compare`.
     """
-    lost = {*first.undetermined_targets, *second.undetermined_targets}
-    common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
+    undetermined = {*first.undetermined_targets, *second.undetermined_targets}
+    common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
     indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    given = _common_observations(first, second, same_instrument)
-    before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), indices, strict=True))
+    common_groups = _common_observations(first, second, same_instrument)
+    before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
     sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
     return _compare_epochs(
         before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
@@ -100,8 +100,10 @@ def compare_coordinates(
     count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
     notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
     sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
-    held = stable_points & (stable_names is not None)
-    result = _compare_epochs(before, after, with_scale, stable_points, held, alpha, sources, first.axis_indices, notes)
+    stable_mask = stable_points & (stable_names is not None)
+    result = _compare_epochs(
+        before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
+    )
     if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
     return _with_rigid_motion(
@@ -142,10 +144,10 @@ def _with_rigid_motion(
     free = compare_with_free_motions()
     if 2 * len(free.moved_points) > count:
         return fixed_frame_result
-    rest = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
+    suffix = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
-        f"{len(free.moved_points)} of {count} points moved{rest}"
+        f"{len(free.moved_points)} of {count} points moved{suffix}"
     )
     return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
 
@@ -210,14 +212,14 @@ class _Epoch:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_row(adjustment, columns[0])
         groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
-        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in target_names if name in groups)]
+        responses = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in target_names if name in groups)]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
         return cls(
             names,
             adjustment.state.target_points[target_indices],
             covariance,
-            np.hstack(given),
+            np.hstack(responses),
             adjustment.problem.free_motions,
         )
 

@@ -106,7 +106,7 @@ class TaskEvaluation:
     def _task_result(self, result_index: int, task: Task, task_output: TaskOutput) -> TaskResult:
         unit, drawn = task_output.si_per_unit, self.monte_carlo
         value, sigma = float(self.linear.values[result_index]) / unit, float(self.linear.sigma[result_index]) / unit
-        wide = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[result_index]) / unit
+        half_width = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[result_index]) / unit
         tolerance, draws = task.tolerances.get(task_output.name), drawn.values[:, result_index] / unit
         return TaskResult(
             task=task.name,
@@ -115,8 +115,8 @@ class TaskEvaluation:
             unit=task_output.unit,
             value=value,
             standard_uncertainty=sigma,
-            coverage_factor=wide / sigma if sigma > 0 else 0.0,
-            expanded_uncertainty=wide,
+            coverage_factor=half_width / sigma if sigma > 0 else 0.0,
+            expanded_uncertainty=half_width,
             monte_carlo=Distribution(
                 mean=float(drawn.means[result_index]) / unit,
                 standard_uncertainty=float(drawn.sigmas[result_index]) / unit,

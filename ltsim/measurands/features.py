@@ -235,13 +235,13 @@ def _least_squares_step(
     """
     q, r = np.linalg.qr(design)
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
-    whole = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
+    is_determined = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
     if raises_if_undetermined:
-        _require_determined(feature_kind, whole, "do not determine it")
-    r = np.where(whole[..., None, None], r, np.eye(r.shape[-1]))
+        _require_determined(feature_kind, is_determined, "do not determine it")
+    r = np.where(is_determined[..., None, None], r, np.eye(r.shape[-1]))
     right = -np.einsum("...mk,...m->...k", q, misclosure)
     step = np.linalg.solve(r, right[..., None])[..., 0]
-    return np.where(whole[..., None], step, np.nan)
+    return np.where(is_determined[..., None], step, np.nan)
 
 
 def _require_determined(feature_kind: str, is_determined: Bools | np.bool_, reason: str) -> None:
@@ -272,8 +272,8 @@ def _half_sphere_directions(n_directions: int) -> Floats:
     i = np.arange(n_directions) + 0.5
     z = i / n_directions
     turn = i * np.pi * (3.0 - np.sqrt(5.0))
-    flat = np.sqrt(1.0 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    radius = np.sqrt(1.0 - z**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
 
 
 _FIT_FUNCTIONS = {

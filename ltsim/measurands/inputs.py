@@ -44,7 +44,7 @@ SIGMA_OF_UNIT_SIZE = {
 
 
 LENGTHS_SOURCE = "known lengths"
-"""Name of the source: declared reference lengths."""
+"""Name of the uncertainty source of the declared reference lengths."""
 CONTROL_SOURCE = "control points"
 """Name of the source: control points."""
 PRIOR_SOURCE = "specification"
@@ -228,10 +228,10 @@ def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[Uncertai
 
 def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
     """Air of a budget, without the properties that tasks declare themselves."""
-    declared = {entry.effect for entry in tasks.type_b}
+    declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
     air = tasks.air or adjustment.recording.setup.air or AirUncertainty()
-    return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
+    return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared_effects})
 
 
 def air_sources(

@@ -55,9 +55,9 @@ class Measurand(ValueEquality):
             if name not in targets:
                 raise unknown_name("target", name, targets)
         indices = np.array([targets.index(name) for name in task.targets])
-        lost = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[indices]).all(axis=1))]
-        if lost:
-            raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
+        undetermined = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[indices]).all(axis=1))]
+        if undetermined:
+            raise ModelError(f"task {task.name}: the readings do not determine target {undetermined[0]}")
         try:
             near = fit_feature(task.kind, points[indices]) if task.kind in _FEATURE_OUTPUTS else None
             measurand = cls(task, indices, near)
@@ -86,23 +86,23 @@ class Measurand(ValueEquality):
 
     def values(self, points: Floats, scale_change: Floats | float = 1.0) -> Floats:
         """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by a factor (...)."""
-        chosen = points[..., self.target_indices, :]
-        centre = chosen.mean(axis=-2, keepdims=True)
-        chosen = centre + (chosen - centre) / np.asarray(scale_change)[..., None, None]
+        scaled_points = points[..., self.target_indices, :]
+        centre = scaled_points.mean(axis=-2, keepdims=True)
+        scaled_points = centre + (scaled_points - centre) / np.asarray(scale_change)[..., None, None]
         kind = self.task.kind
         if kind == "point":
-            return chosen[..., 0, :]
+            return scaled_points[..., 0, :]
         if kind == "rod":
-            way = chosen[..., 1, :] - chosen[..., 0, :]
+            way = scaled_points[..., 1, :] - scaled_points[..., 0, :]
             along = way / np.linalg.norm(way, axis=-1, keepdims=True)
-            return chosen[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
+            return scaled_points[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
         if kind == "distance":
-            return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
+            return np.linalg.norm(scaled_points[..., 1, :] - scaled_points[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
-            return _angle_of_points(chosen)[..., None]
+            return _angle_of_points(scaled_points)[..., None]
         if kind in _FEATURE_OUTPUTS:
-            return self._feature_values(chosen)
-        return self._fit(chosen)
+            return self._feature_values(scaled_points)
+        return self._fit(scaled_points)
 
     def point_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative (k, 3 T) of the results with respect to points (T, 3), by central differences."""
@@ -118,8 +118,8 @@ class Measurand(ValueEquality):
 
     def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative (k,) of the results with respect to the stretch."""
-        both = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
-        values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
+        scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
+        values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
         return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)
 
     def _feature_values(self, feature_points: Floats) -> Floats:

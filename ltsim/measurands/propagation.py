@@ -46,11 +46,11 @@ def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion
 
 def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
     """Names and sizes of the errors of the part's expansion."""
-    named = [
+    error_sizes = [
         ("expansion of the part", thermal_expansion.change_by_coefficient),
         ("temperature of the part", thermal_expansion.change_by_temperature),
     ]
-    return [(name, change) for name, change in named if change]
+    return [(name, change) for name, change in error_sizes if change]
 
 
 @dataclass(frozen=True)
@@ -195,9 +195,9 @@ class MonteCarloUncertainty(ValueEquality):
         The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
         """
         expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
-        ends = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
+        limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
         allowed = self.tolerances + self.numerical_errors
-        return np.all(np.abs(ends - self.symmetric_intervals) <= allowed[:, None], axis=1)
+        return np.all(np.abs(limits - self.symmetric_intervals) <= allowed[:, None], axis=1)
 
 
 def run_monte_carlo(
@@ -211,14 +211,14 @@ def run_monte_carlo(
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    most = max(monte_carlo_settings.most_trials // TRIALS_PER_BATCH, 1)
+    max_batches = max(monte_carlo_settings.most_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
         linear_uncertainty.sigma > 0
     )  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
     power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear_uncertainty.values)), np.inf)
-    while len(samples) < most and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
+    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
         shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
         by_line = (
             linear_uncertainty.values
@@ -234,13 +234,13 @@ def run_monte_carlo(
         if len(samples) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
-    every = np.concatenate(samples)
+    all_results = np.concatenate(samples)
     return MonteCarloUncertainty(
-        values=every,
+        values=all_results,
         means=mean,
         sigmas=sigma,
         symmetric_intervals=np.stack([low, high], axis=1),
-        shortest_intervals=shortest_intervals(every, monte_carlo_settings.coverage),
+        shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage),
         numerical_errors=error[2:].max(axis=0),
         is_stable=np.all(error <= tolerance, axis=0),
         tolerances=tolerance,
@@ -279,7 +279,7 @@ def _linear_statistics(
         for s in task_inputs.sources
         if s.distribution != "normal"
     ]
-    half = np.array(
+    half_widths = np.array(
         [
             _coverage_half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage_probability)
             for i, sigma in enumerate(linear_uncertainty.sigma)
@@ -289,8 +289,8 @@ def _linear_statistics(
         [
             linear_uncertainty.values,
             linear_uncertainty.sigma,
-            linear_uncertainty.values - half,
-            linear_uncertainty.values + half,
+            linear_uncertainty.values - half_widths,
+            linear_uncertainty.values + half_widths,
         ]
     )
 
@@ -306,14 +306,17 @@ def _coverage_half_width(
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
     if normal_sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * normal_sigma**2:
         return float(special.ndtri(0.5 + coverage_probability / 2)) * normal_sigma
-    at = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
-    damping = np.exp(-0.5 * max(1.0 - independent / normal_sigma**2, 0.0) * at**2)
+    frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
+    damping = np.exp(-0.5 * max(1.0 - independent / normal_sigma**2, 0.0) * frequencies**2)
     for name, sizes in other_distributions:
         for size in np.abs(sizes[sizes != 0]) / normal_sigma:
-            damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * at)
+            damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * frequencies)
 
     def excess(width: float) -> float:
-        return float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * at) / at * damping)) - coverage_probability
+        return (
+            float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping))
+            - coverage_probability
+        )
 
     return normal_sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
 
@@ -334,8 +337,8 @@ def draw_variates(
 def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Floats:
     """Mean, standard deviation and limits of the symmetric interval of one batch, (4, k)."""
     tail = 50.0 * (1.0 - coverage_probability)
-    ends = np.percentile(trial_results, [tail, 100.0 - tail], axis=0)
-    return np.stack([trial_results.mean(axis=0), trial_results.std(axis=0, ddof=1), *ends])
+    limits = np.percentile(trial_results, [tail, 100.0 - tail], axis=0)
+    return np.stack([trial_results.mean(axis=0), trial_results.std(axis=0, ddof=1), *limits])
 
 
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:

@@ -214,9 +214,9 @@ class Uncertainty(ResultFile):
         return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        parts = [(r, p) for r in self.results for p in r.budget]
+        budget_rows = [(r, p) for r in self.results for p in r.budget]
         rows: list[tuple[Any, ...]] = [
-            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts
+            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in budget_rows
         ]
         rows += [
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
@@ -251,20 +251,20 @@ def evaluate_conformity(
     ----------
     JCGM 106:2012, clauses 7 (probability of conformity) and 8 (guard bands).
     """
-    low = -np.inf if tolerance.lower is None else tolerance.lower
-    high = np.inf if tolerance.upper is None else tolerance.upper
+    lower = -np.inf if tolerance.lower is None else tolerance.lower
+    upper = np.inf if tolerance.upper is None else tolerance.upper
     if trial_results is not None:
-        probability = float(np.mean((trial_results >= low) & (trial_results <= high)))
+        probability = float(np.mean((trial_results >= lower) & (trial_results <= upper)))
     elif sigma > 0:
-        probability = float(special.ndtr((high - result_value) / sigma) - special.ndtr((low - result_value) / sigma))
+        probability = float(special.ndtr((upper - result_value) / sigma) - special.ndtr((lower - result_value) / sigma))
     else:
-        probability = float(low <= result_value <= high)
+        probability = float(lower <= result_value <= upper)
     guard = float(-special.ndtri(decision_rule.risk)) * sigma if decision_rule.rule == "guarded" else 0.0
     judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
     wrong = min(probability, 1.0 - probability)
-    if low + guard <= result_value <= high - guard:
+    if lower + guard <= result_value <= upper - guard:
         judgement, wrong = "accepted", 1.0 - probability
-    elif result_value < low - guard or result_value > high + guard:
+    elif result_value < lower - guard or result_value > upper + guard:
         judgement, wrong = "rejected", probability
     return Conformity(
         lower=tolerance.lower,
@@ -283,10 +283,10 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
     E_n applies to independent results, such as of two recordings or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second_result.results}
-    both = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
+    pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
     return [
         (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
-        for r, o in both
+        for r, o in pairs
     ]
 
 

@@ -106,8 +106,11 @@ class LayoutScorer:
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment_construction()
-        whole = survey.replace(is_visible=np.ones_like(survey.is_visible))
-        pointings, state = whole.noise_free_recording(self.construction), whole.nominal_state(self.construction)
+        full_survey = survey.replace(is_visible=np.ones_like(survey.is_visible))
+        pointings, state = (
+            full_survey.noise_free_recording(self.construction),
+            full_survey.nominal_state(self.construction),
+        )
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
         problem = (
             Adjustment.from_plan(pointings, state, self.construction).problem
@@ -198,8 +201,8 @@ class LayoutScorer:
         weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
         shape = (*is_visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
-        turned = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
-        return t, np.concatenate([-t, turned, v], axis=3)
+        rotation_rows = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
+        return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
@@ -234,9 +237,9 @@ class LayoutScorer:
         t, x = self.whitened_rows(position, yaw, at, is_visible)
         flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
+        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
         return NormalBlocks(
-            position, yaw, is_visible, held, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
+            position, yaw, is_visible, has_pose, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
         )
 
     def evaluate_layouts(
@@ -249,8 +252,8 @@ class LayoutScorer:
         schur, length, inverse, weights = self.eliminate_targets(blocks, setup_indices)
         size = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
-        held = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
-        information[held] = self.marginal_information(schur[held], length[held])
+        has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
+        information[has_poses] = self.marginal_information(schur[has_poses], length[has_poses])
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.weighted_target_rms(
@@ -265,8 +268,8 @@ class LayoutScorer:
         """
         unit, scale = scale_to_unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
-        last = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
-        corner = roots[:, last, last] / scale[:, last, None]
+        parameter_slice = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
+        corner = roots[:, parameter_slice, parameter_slice] / scale[:, parameter_slice, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
@@ -296,17 +299,17 @@ class LayoutScorer:
         reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, size, size)).copy()
         tk = np.zeros((layouts, len(self.survey.target_points), 3, size))
         tt = np.zeros((layouts, len(self.survey.target_points), 3, 3))
-        last = slice(size - params, size)
+        parameter_slice = slice(size - params, size)
         for s in range(stations):
             which = setup_indices[:, s]
             at = slice(6 * s, 6 * s + 6)
             xx, tx = blocks.pose_blocks[which], blocks.coupling_blocks[which]
             reduced[:, at, at] += xx[:, :6, :6]
-            reduced[:, at, last] += xx[:, :6, 6:]
-            reduced[:, last, at] += xx[:, 6:, :6]
-            reduced[:, last, last] += xx[:, 6:, 6:]
+            reduced[:, at, parameter_slice] += xx[:, :6, 6:]
+            reduced[:, parameter_slice, at] += xx[:, 6:, :6]
+            reduced[:, parameter_slice, parameter_slice] += xx[:, 6:, 6:]
             tk[:, :, :, at] = tx[:, :, :, :6]
-            tk[:, :, :, last] += tx[:, :, :, 6:]
+            tk[:, :, :, parameter_slice] += tx[:, :, :, 6:]
             tt += blocks.target_blocks[which]
         for g, t in enumerate(self._gauge_targets):
             at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
@@ -345,8 +348,10 @@ class LayoutScorer:
 
     def requested_targets(self, mesh: Ints) -> Ints:
         """Indices of the targets in the survey whose variance `target_variance` returns, (1 or B, E + gauge)."""
-        at = np.atleast_2d(mesh)
-        return np.concatenate([at, np.broadcast_to(self._gauge_targets, (len(at), len(self._gauge_targets)))], axis=1)
+        indices = np.atleast_2d(mesh)
+        return np.concatenate(
+            [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
+        )
 
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets, with inner constraints over them.
@@ -375,11 +380,11 @@ class LayoutScorer:
         flattened = carry.reshape(layouts, axes, size)
         constrained = flattened - rows @ (held @ flattened)
         part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
-        moved = np.einsum("beij,befj->beif", inverse, part)
-        common = np.einsum("befi,beig->bfg", part, moved)
+        response = np.einsum("beij,befj->beif", inverse, part)
+        common = np.einsum("befi,beig->bfg", part, response)
         variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
         variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._n_free_motions).sum(axis=2)
         variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
-            "beif,beif->be", motion[:, :count], moved
+            "beif,beif->be", motion[:, :count], response
         )
         return INTERNAL_LENGTH_UNIT**2 * variance

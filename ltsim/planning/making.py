@@ -67,13 +67,13 @@ def make_plan(
     heard = callbacks or SearchCallbacks()
     heard.on_progress("searching layouts", 0.0)
     search = _PlanSearch(PlanningProblem(file, scenario), jobs, heard)
-    best = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
-    if not np.isfinite(best.objective_value):
+    best_layout = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
+    if not np.isfinite(best_layout.objective_value):
         raise SetupError(UNDETERMINED_LAYOUT_MESSAGE)
     heard.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
-    made = evaluate_plan(search.file, scenario, best.survey)
+    made = evaluate_plan(search.file, scenario, best_layout.survey)
     heard.on_progress("check of tolerances and changes", 1.0)
-    values = search.layouts.get((len(best.survey.station_positions), len(best.survey.faces)), [])
+    values = search.layouts.get((len(best_layout.survey.station_positions), len(best_layout.survey.faces)), [])
     return replace(
         made,
         tradeoff_points=search.tradeoff_points(search.layouts),
@@ -262,8 +262,8 @@ class _PlanSearch:
         if not items:
             return ()
         items.sort(key=lambda option: (option.hours, option.objective_value))
-        best = np.minimum.accumulate([option.objective_value for option in items])
-        earlier = np.r_[np.inf, best[:-1]]
+        best_values = np.minimum.accumulate([option.objective_value for option in items])
+        earlier = np.r_[np.inf, best_values[:-1]]
         return tuple(
             replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(items, earlier, strict=True)
         )

@@ -205,9 +205,9 @@ def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluatio
     pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
     gained = [text for ratio, text in words[:4] if ratio > 1.05]
-    lost = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
+    worse_texts = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
     sentences = [f"Parameters whose sigma falls most: {'; '.join(gained)}."] if gained else []
-    return sentences + ([f"Parameters whose sigma rises: {'; '.join(lost)}."] if lost else [])
+    return sentences + ([f"Parameters whose sigma rises: {'; '.join(worse_texts)}."] if worse_texts else [])
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
@@ -239,10 +239,10 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules that limit the layout: floor, elevation, spacing."""
     survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, []
-    near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
+    is_near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
         survey.station_positions[None], site.min_station_spacing
     )
-    close = [(names[i], names[j]) for i, j in np.argwhere(near[0]).tolist()]
+    close = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
     if close:
         pairs = ", ".join(f"{first} and {second}" for first, second in close)
         sentences.append(f"{pairs} are at the minimum spacing of {site.min_station_spacing:g} m.")
@@ -267,16 +267,16 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
                 f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
                 "body, within the tolerance of its mesh, and are treated as on its surface."
             )
-    lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
-    if lost:
-        more = "; and more" if len(lost) > 3 else ""
-        sentences.append(f"{len(lost)} sights are blocked: {'; '.join(lost[:3])}{more}.")
+    lost_pairs = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
+    if lost_pairs:
+        more = "; and more" if len(lost_pairs) > 3 else ""
+        sentences.append(f"{len(lost_pairs)} sights are blocked: {'; '.join(lost_pairs[:3])}{more}.")
     return sentences
 
 
 def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
-    chosen = plan.layout.survey
-    return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
+    survey = plan.layout.survey
+    return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
 def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:

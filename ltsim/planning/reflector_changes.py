@@ -123,13 +123,13 @@ class _ChangeEvaluator:
         def note(kind: ChangeKind, removed: int | None, places: Ints) -> None:
             """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
             others = chosen if removed is None else np.delete(chosen, removed)
-            start = (
+            start_matrix = (
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
             sets = np.column_stack([np.tile(others, (len(places), 1)), places])
-            totals = start + terms[places]
+            totals = start_matrix + terms[places]
             if kind == "remove":
-                sets, totals = others[None], start[None]
+                sets, totals = others[None], start_matrix[None]
             if not len(sets):
                 return
             values = self._objective_factors(totals, sets, others)
@@ -169,7 +169,7 @@ class _ChangeEvaluator:
             )
         serves = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
-        made = PlanChange(
+        change = PlanChange(
             do=kind,
             reflector="" if removed is None else names[removed],
             place="" if place is None else names[place],
@@ -179,7 +179,7 @@ class _ChangeEvaluator:
             serves=serves,
             serves_factor=float(ratios[serves]),
         )
-        return made.model_copy(update={"words": _change_sentence(made)})
+        return change.model_copy(update={"words": _change_sentence(change)})
 
 
 def _change_sentence(change: PlanChange) -> str:
@@ -189,8 +189,8 @@ def _change_sentence(change: PlanChange) -> str:
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.serves_factor - 1)
-    most = "hardest on" if change.do == "remove" else "most for"
-    return f"{change.action_text}: quality {better}, {other}, {most} {change.serves} (sigma {sigma:+.1f} %)"
+    phrase = "hardest on" if change.do == "remove" else "most for"
+    return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
 
 
 def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:

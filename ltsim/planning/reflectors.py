@@ -65,8 +65,8 @@ class NormalMatrixTable:
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        whole = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
-        _, _, inverse, weights = reducer.eliminate_targets(whole, slots[None])
+        all_blocks = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
+        _, _, inverse, weights = reducer.eliminate_targets(all_blocks, slots[None])
         length = length + np.sum(rows**2, axis=(0, 1))
         return cls(reducer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
 
@@ -80,9 +80,12 @@ class NormalMatrixTable:
 
     def weighted_target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
         """Root mean square point error (B,) [m] of fixed targets and of reflectors at places (n,) or (B, n)."""
-        at = self._block_rows(len(totals), place_indices)
+        rows = self._block_rows(len(totals), place_indices)
         return self.scorer.weighted_target_rms(
-            totals, self.target_block_inverses[at], self.elimination_coefficients[at], self.scorer.mesh_targets[at]
+            totals,
+            self.target_block_inverses[rows],
+            self.elimination_coefficients[rows],
+            self.scorer.mesh_targets[rows],
         )
 
     def target_sigma(self, total: Floats, place_indices: Ints) -> dict[str, float]:
@@ -167,9 +170,9 @@ class MovableReflectors:
             [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, good[: len(present)]]], axis=1
         )
         visible[:, : now.shape[1]] = now
-        wide = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
+        full_survey = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
         table = NormalMatrixTable.from_places(
-            survey, is_fixed, places, visible, LayoutScorer(wide, construction, objective.effects)
+            survey, is_fixed, places, visible, LayoutScorer(full_survey, construction, objective.effects)
         )
         return cls(places, names, int(good[: len(present)].sum()), visible, table)
 

@@ -278,12 +278,15 @@ class StationPlacement:
         With `random_generator` each station is at the best of a few random places, so that each draw gives another
         result.
         """
-        chosen: list[int] = []
-        while len(chosen) < n_stations and (place := self._best_place(chosen, wanted_sights, random_generator)) >= 0:
-            chosen.append(place)
-        if len(chosen) == n_stations and not self.missing_sights(chosen, wanted_sights).any():
-            return chosen
-        return self._optimal_places(n_stations, wanted_sights, random_generator) or chosen
+        place_indices: list[int] = []
+        while (
+            len(place_indices) < n_stations
+            and (place := self._best_place(place_indices, wanted_sights, random_generator)) >= 0
+        ):
+            place_indices.append(place)
+        if len(place_indices) == n_stations and not self.missing_sights(place_indices, wanted_sights).any():
+            return place_indices
+        return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
         """Number of missing sights of each target, (T,), until it has `wanted_sights`."""

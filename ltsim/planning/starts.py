@@ -86,12 +86,12 @@ def run_searches(
     `report_progress` is called with the finished fraction, `store_layout` with each better layout and its objective.
     With one job the search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
     """
-    best: dict[int, RatedLayout] = {}
+    best_by_task: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
     def better(task_number: int, value: float, survey: PlannedSurvey) -> None:
         nonlocal reported, last
-        best[task_number] = value, survey
+        best_by_task[task_number] = value, survey
         if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
             reported, last = value, monotonic()
             store_survey(survey, value)
@@ -114,13 +114,13 @@ def run_searches(
         ):
             finished += 1
             report_progress(finished / len(tasks))
-            best.pop(number, None)
+            best_by_task.pop(number, None)
             if layout is not None:
                 better(number, *layout)
     except KeyboardInterrupt:
         stopped = True
     layouts: LayoutsByCount = {}
-    for number, (value, survey) in sorted(best.items()):
+    for number, (value, survey) in sorted(best_by_task.items()):
         task = tasks[number]
         layouts.setdefault((task.n_stations, task.n_faces), []).append((value, task.start_number, survey))
     return layouts, stopped

@@ -88,8 +88,8 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     recording = survey.noise_free_recording(built)
     sightings = sightings_of(recording, survey.nominal_state(built))
     sigma = survey.nominal_noise(sightings) * survey.used_observables
-    flat = sightings.range_ * np.cos(sightings.elevation)
-    error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
+    horizontal = sightings.range_ * np.cos(sightings.elevation)
+    error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)
     settings = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
@@ -175,13 +175,13 @@ def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> st
     if (firm := position_firmness(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
-    at = np.array([mark.end_point[:2] for mark in tapes])
-    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
-    first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
+    end_points = np.array([mark.end_point[:2] for mark in tapes])
+    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
+    first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     along = (second - first) / np.linalg.norm(second - first)
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
-    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
+    misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
     if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."

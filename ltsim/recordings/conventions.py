@@ -311,8 +311,8 @@ def _majority_sense(votes: list[int]) -> AzimuthSense | None:
 
 def clock_question(recording: Recording) -> tuple[str, ...]:
     """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
-    turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
-    steps = np.abs(np.diff(recording.time))[turned]
+    is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
+    steps = np.abs(np.diff(recording.time))[is_change]
     steps = steps[np.isfinite(steps)]
     if not recording.has_clock or len(steps) < MIN_TARGET_CHANGES:
         return ()
@@ -331,9 +331,9 @@ def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
-    where = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
+    listed_rows = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
     return (
-        f"{where}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
+        f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 

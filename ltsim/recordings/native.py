@@ -174,15 +174,15 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
 
 def _check_header(header: Sequence[str], file: Path) -> None:
     """Check that every required column occurs once and in the right unit."""
-    where = SourceLocation(file, 0)
+    location = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise where.error("the header contains ';' or tabs, expected commas between columns")
+        raise location.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
-        where.text(name)
+        location.text(name)
         if not name:
-            raise where.error(f"column {i + 1} has no name")
+            raise location.error(f"column {i + 1} has no name")
         if name in header[:i]:
-            raise where.error("this column appears twice in the header", name)
+            raise location.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
@@ -190,12 +190,12 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *FURTHER_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
-            raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
+            raise location.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
     for name in REQUIRED_COLUMNS:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
             hint = f" ('{quoted_text(near[0])}' looks like it)" if near else ""
-            raise where.error(f"the required column {name} is missing{hint}")
+            raise location.error(f"the required column {name} is missing{hint}")
 
 
 def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[int, int]) -> Ints:
@@ -311,8 +311,8 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
 
 
 def _similar_names(name: str, names: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
-    return f"; did you mean {', '.join(near)}?" if near else ""
+    similar = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(similar)}?" if similar else ""
 
 
 def write_recording(recording: Recording, path: Path) -> None:

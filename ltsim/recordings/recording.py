@@ -37,6 +37,8 @@ MODE_COLUMN = "distance_mode"
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
+MAX_TIME = 2e18
+"""Largest time of a pointing [s]: also an epoch in nanoseconds that is read as seconds (1.8e18) is smaller."""
 MIN_COS_ELEVATION = 1e-6
 """Smallest cosine of the elevation by which a length across the beam is divided, to avoid division by zero."""
 MAX_COS_STEEP = 1e-4
@@ -104,13 +106,13 @@ class Recording(Result):
     """File and line of each row; empty for a native recording, whose rows are those of its table."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite; raises ModelError."""
-        wrong = np.flatnonzero(~np.isfinite(np.asarray(self.time, dtype=np.float64)))
+        """Check that all times are finite and of a possible size; raises ModelError."""
+        wrong = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME))
         if len(wrong):
             row, value = int(wrong[0]) + 1, self.time[wrong[0]]
             raise ModelError(
-                f"the time of row {row} is {value}, expected finite seconds; of a recording without a clock give "
-                "time=np.arange(n) and has_clock=False"
+                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME:g}; of a recording without a "
+                "clock give time=np.arange(n) and has_clock=False"
             )
 
     def __len__(self) -> int:

@@ -105,11 +105,11 @@ def _growth_and_changes(
     grown = ThermalExpansion.from_temperature(
         material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    both = {
+    changes = {
         f"{EXPANSION_ERROR_PREFIX}{line.material or 'the gauge'}": grown.change_by_coefficient,
         thermometer: grown.change_by_temperature,
     }
-    return grown.length_ratio, {name: change for name, change in both.items() if change}
+    return grown.length_ratio, {name: change for name, change in changes.items() if change}
 
 
 def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, location: dict[str, Any]) -> float:
@@ -118,8 +118,8 @@ def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, locati
         columns = ", ".join(recording.covariates) or "none"
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **location)
-    ends = [recording.targets.index(target) for target in (line.from_, line.to)]
-    values = recording.covariates[name][np.isin(recording.target, ends)]
+    end_targets = [recording.targets.index(target) for target in (line.from_, line.to)]
+    values = recording.covariates[name][np.isin(recording.target, end_targets)]
     if not np.isfinite(values).any():
         message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
         raise RecordError(message, **location)

@@ -77,8 +77,8 @@ def check_toml_limits(text: str, file: object) -> None:
 
 def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
     """Set-up from a table of settings; `file` is named in errors."""
-    whole = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
-    setup = validate_settings(whole, Setup, "set-up", file)
+    tables = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
+    setup = validate_settings(tables, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
@@ -110,8 +110,10 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Table with the entries of `defaults` as defaults; nested tables are merged recursively."""
-    both = [key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
-    return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in both}}
+    common_keys = [
+        key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)
+    ]
+    return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in common_keys}}
 
 
 def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:

@@ -209,14 +209,14 @@ def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, 
     angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
     if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
         return
-    wide = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
+    exceeds = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured_columns * [MILLIMETRE, 1.0, 1.0]
     as_radians = length_disagreement(from_polar(readings), station, target)
     as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
-    if any(wide) and not as_degrees <= as_radians:
-        values = angles[wide.index(True)]
+    if any(exceeds) and not as_degrees <= as_radians:
+        values = angles[exceeds.index(True)]
         looks = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
-        column = "azimuth_deg" if wide[0] else "elevation_deg"
+        column = "azimuth_deg" if exceeds[0] else "elevation_deg"
         raise SourceLocation(file, column=column).error(f"{looks}; expected degrees")
 
 

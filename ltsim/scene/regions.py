@@ -162,7 +162,7 @@ def _lines_relative_to_centres(
 
     Unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,), and flags (n,).
 
-    Last, which lines (n,) cross a region, and do not run along it.
+    The flags mark the lines that cross a region and do not run along it.
     """
     indices = ["xyz".index(axis) for axis in bounded_axes]
     beam = sightings.beam_vectors[0][:, indices]

@@ -32,7 +32,7 @@ class GaugeFrame:
     """Gauge frame at its calibration temperature."""
 
     target_names: tuple[str, ...]
-    """Names of its k targets."""
+    """Names of the k targets of the gauge."""
     points: Floats
     """Coordinates (k, 3) [m] in the axes of the frame, origin at its centre."""
     first_targets: Ints

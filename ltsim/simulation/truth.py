@@ -124,7 +124,7 @@ class TrueEffect(Entry):
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in units of display if the effect declares one, otherwise in SI."""
     parameters: tuple[TrueParameterValue, ...] = ()
-    """True values of its parameters."""
+    """True values of the parameters of the effect."""
 
     @classmethod
     def from_applied(cls, applied_effect: AppliedEffect) -> Self:

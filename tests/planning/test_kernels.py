@@ -27,7 +27,7 @@ made, found = survey(), {}
 reducer = LayoutScorer(made)
 for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
     out = reducer.evaluate_layouts(
-        reducer.normal_blocks(made.station_positions, made.station_yaws, visible=visible), np.arange(5)[None],
+        reducer.normal_blocks(made.station_positions, made.station_yaws, is_visible=visible), np.arange(5)[None],
         with_target_errors=True,
     )
     try:
@@ -35,7 +35,7 @@ for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
         slow = "determined"
     except NetworkError:
         slow = "lost"
-    fast = np.isfinite(out.information).all() and np.isfinite(out.target_rms).all()
+    fast = np.isfinite(out.information).all() and np.isfinite(out.weighted_target_rms).all()
     found[name] = [slow, "determined" if fast else "lost"]
 print(json.dumps(found))
 """

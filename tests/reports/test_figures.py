@@ -94,7 +94,7 @@ def factor_panels_figure() -> Figure:
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise factor", published=3.0)
+    return sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise factor", published_value=3.0)
 
 
 def sigma_figure() -> Figure:

@@ -69,14 +69,14 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
     is_measured = np.isfinite(clouds[:, :, 0])
     total, count = np.where(is_measured[0][:, None], clouds[0], 0.0), is_measured[0].astype(np.int64)
     direct, shared = is_measured @ is_measured[0].astype(np.int64), is_measured @ is_measured[0].astype(np.int64)
-    waiting = np.arange(len(clouds)) > 0
-    while waiting.any():
-        station = int(np.argmax(np.where(waiting, direct, -1)))
+    is_unaligned = np.arange(len(clouds)) > 0
+    while is_unaligned.any():
+        station = int(np.argmax(np.where(is_unaligned, direct, -1)))
         goal = clouds[0]
         if direct[station] < 3:
-            station = int(np.argmax(np.where(waiting, shared, -1)))
+            station = int(np.argmax(np.where(is_unaligned, shared, -1)))
             goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
-        waiting[station] = False
+        is_unaligned[station] = False
         try:
             placed_points[station] = align_to_points(clouds[station], goal)
         except NetworkError as problem:

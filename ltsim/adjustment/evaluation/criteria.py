@@ -225,10 +225,10 @@ def evaluate_criteria(
         raise NetworkError(
             f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
-    before = station_point_clouds(recording, measured_points(recording), row_mask)
-    after = None
+    raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
+    corrected_clouds = None
     if construction is not None and values is not None:
-        after = station_point_clouds(
+        corrected_clouds = station_point_clouds(
             recording, measured_points(_subtract_change(recording, reading_changes), construction, values), row_mask
         )
     if len(recording.stations) < 2:
@@ -238,15 +238,17 @@ def evaluate_criteria(
         def disagreement_of(clouds: Floats) -> StationDisagreement:
             return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
-        raw = disagreement_of(before)
+        raw = disagreement_of(raw_clouds)
         if not len(raw.values):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
-        return CriterionEntry.from_differences(raw, None if after is None else disagreement_of(after))
+        return CriterionEntry.from_differences(
+            raw, None if corrected_clouds is None else disagreement_of(corrected_clouds)
+        )
 
     return CriteriaEntry(
         distance=compare(distance_differences, aligned=False),
         coordinate=compare(coordinate_differences, aligned=True),
-        **_distance_to_first_criterion(before, after),
+        **_distance_to_first_criterion(raw_clouds, corrected_clouds),
     )
 
 
@@ -307,8 +309,8 @@ def verify_against_nominal(
     "After" applies parameters (p,) or (n, p) [SI] and subtracts `reading_changes` (n, 3) from the readings. Raises
     NetworkError if a station measured fewer than three nominal targets.
     """
-    missing = np.full(3, np.nan)
-    goal = np.stack([nominal_points.get(name, missing) for name in recording.targets])
+    nan_vector = np.full(3, np.nan)
+    goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])
     has_nominal = np.isfinite(goal[:, 0])
     if int(has_nominal.sum()) < 3:
         raise NetworkError(

@@ -226,12 +226,12 @@ def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) 
     variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
     if is_testable.sum() < 2 or not variance.min() > 0.0:
         return None
-    pooled = float(dof_of_target @ variance / dof_of_target.sum())
-    gain = dof_of_target.sum() * np.log(pooled) - dof_of_target @ np.log(variance)
+    mean_variance = float(dof_of_target @ variance / dof_of_target.sum())
+    gain = dof_of_target.sum() * np.log(mean_variance) - dof_of_target @ np.log(variance)
     gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
     if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
         return None
-    ratio = np.full(len(dof), np.sqrt(pooled))
+    ratio = np.full(len(dof), np.sqrt(mean_variance))
     ratio[is_testable] = np.sqrt(variance)
     return np.asarray(np.maximum(ratio, 1.0)[occupation.recording.target][:, None])
 
@@ -260,14 +260,14 @@ def _gross_pointings_and_bump(
 
 def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
     """Gap in which a motion of the station explains most, its fit, and the number of gaps."""
-    tried = [
+    candidates = [
         bump
         for bump in StationBump.candidates(occupation.sightings)
         if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS
     ]
-    if not tried:
+    if not candidates:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
-    explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in tried}
+    explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in candidates}
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
         if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
@@ -277,9 +277,9 @@ def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, Column
 
 def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:
     """Number of targets measured both before and after the bump."""
-    after = occupation.sightings.time >= bump.time
+    is_after = occupation.sightings.time >= bump.time
     target = occupation.recording.target
-    return len(np.intersect1d(target[occupation.row_mask & after], target[occupation.row_mask & ~after]))
+    return len(np.intersect1d(target[occupation.row_mask & is_after], target[occupation.row_mask & ~is_after]))
 
 
 def _neg_log_p(fit: ColumnsFit) -> float:
@@ -303,15 +303,15 @@ def _bump_item(
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
         return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
-    explained = occupation.fit_columns(bump.design(occupation.sightings))
+    fit = occupation.fit_columns(bump.design(occupation.sightings))
     order = np.argsort(recording.time, kind="stable")
     index = int(np.searchsorted(recording.time[order], bump.time))
     pair = order[index - 1 : index + 1]
-    between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
+    time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
-    chance = family.corrected_p_value(occupation.p_value(explained), len(order) - 1)
-    sentence = bump_sentence(recording, between, numbers, explained)
-    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
+    chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
+    sentence = bump_sentence(recording, time_interval, numbers, fit)
+    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=time_interval)
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:
@@ -327,11 +327,11 @@ def _drift_item(
     design: Floats,
     write_sentence: SentenceWriter,
 ) -> CheckItem:
-    explained = occupation.fit_columns(design)
-    p = family.corrected_p_value(occupation.p_value(explained))
+    fit = occupation.fit_columns(design)
+    p = family.corrected_p_value(occupation.p_value(fit))
     is_passed = p >= family.false_alarm_rate
     return CheckItem.from_test(
-        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, explained, is_passed), p
+        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p
     )
 
 
@@ -348,10 +348,10 @@ def _repeatability_item(occupation: StationOccupation, family: HypothesisFamily)
     p, less = two_sided_chi2_p_value(occupation.chi2, occupation.dof)
     p = family.corrected_p_value(p)
     freedom = f"{occupation.dof} degrees of freedom"
-    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
+    phrase = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
     if p >= family.false_alarm_rate:
-        return CheckItem.from_test(name, "closure", True, f"{scatter}, as expected", p)
-    return CheckItem.from_test(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than declared", p)
+        return CheckItem.from_test(name, "closure", True, f"{phrase}, as expected", p)
+    return CheckItem.from_test(name, "closure", less, f"{phrase}, {'less' if less else 'more'} than declared", p)
 
 
 def _target_scatter_item(
@@ -359,7 +359,7 @@ def _target_scatter_item(
 ) -> CheckItem:
     """Item on the scatter of a set-up whose targets have different scatter."""
     closure, (chi2, dof) = _repeatability_item(remaining, family), remaining.target_chi2_and_dof()
-    shown = np.flatnonzero(dof >= MIN_TARGET_DOF)
-    shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]
-    sentence, targets = target_sentence(occupation, shown)
+    listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
+    listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
+    sentence, targets = target_sentence(occupation, listed_targets)
     return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

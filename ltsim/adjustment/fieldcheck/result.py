@@ -222,6 +222,6 @@ class HypothesisFamily:
 
 
 def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
-    """Two-sided p-value of a chi-square, and a flag that it is too small."""
+    """Two-sided p-value of a chi-square, and a flag that the chi-square is smaller than expected."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

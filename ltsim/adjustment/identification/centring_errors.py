@@ -85,7 +85,7 @@ def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[flo
         entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
         if entries > MAX_CENTRING_ENTRIES:
             break
-        offers.append(_offer(place, *_best_gain(space, place.occupation), len(places)))
+        offers.append(_offer(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
     return offers
 
 
@@ -170,8 +170,19 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
     return places
 
 
-def _best_gain(space: ResidualSpace, occupation: Ints) -> tuple[float, float]:
-    """Gain of log evidence by centring errors of the most likely standard deviation, and that deviation [m]."""
+class CentringEstimate(NamedTuple):
+    """Most likely standard deviation of centring errors."""
+
+    gain: float
+    """Gain of log evidence, without a prior of the hypothesis."""
+    sigma: float
+    """Standard deviation [m] of each component of a displacement."""
+    n_determined: float
+    """Number of components that the readings determine: the variance has twice its inverse as relative variance."""
+
+
+def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstimate:
+    """Most likely standard deviation of centring errors of the occupations (n,), -1 for none."""
     moved = np.zeros((len(occupation), 3, int(occupation.max()) + 1, 3))
     rows = np.flatnonzero(occupation >= 0)
     moved[rows, :, occupation[rows]] = np.eye(3)
@@ -184,7 +195,8 @@ def _best_gain(space: ResidualSpace, occupation: Ints) -> tuple[float, float]:
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
     best = int(np.argmax(ratio))
     determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
-    return float(ratio[best] + log_occam_factor_of_variance(determined)), float(CENTRING_SIGMAS[best])
+    gain = float(ratio[best] + log_occam_factor_of_variance(determined))
+    return CentringEstimate(gain, float(CENTRING_SIGMAS[best]), determined)
 
 
 class CommonDisplacement(NamedTuple):

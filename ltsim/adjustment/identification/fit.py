@@ -111,8 +111,8 @@ class NetworkFit:
         A network that uses them is distorted as a whole.
         """
         problem, start = cls._make_problem(network, hypotheses)
-        relaxed = relax_exact_references(problem, start)
-        state, residual = fit_robust_state(relaxed, resect_contradicted_setups(relaxed, start))
+        relaxed_problem = relax_exact_references(problem, start)
+        state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
@@ -338,12 +338,12 @@ class NetworkFit:
     def misclosure_of(self, value: ReferenceValue) -> Floats:
         """Misclosure (q,) [m, rad] of an omitted reference value in the adjusted network."""
         model = replace(self.problem.model, recording=self.network.recording)
-        declared = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
+        problem = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
-            over = declared.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
+            over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        candidates = (*reference_values(declared, self.state), *common_scale(declared, self.state))
+        candidates = (*reference_values(problem, self.state), *common_scale(problem, self.state))
         return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
@@ -355,8 +355,8 @@ class NetworkFit:
             return float(np.abs(self.estimate(hypothesis)[0]).max())
         if not isinstance(change, ReadingShiftChange):
             return 0.0
-        moved = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
-        return float(np.max(moved * displacement_per_reading(sightings)))
+        displacements = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
+        return float(np.max(displacements * displacement_per_reading(sightings)))
 
     @property
     def is_gross_reading(self) -> Bools:

@@ -211,8 +211,8 @@ CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
 def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
     """Hypotheses of wrongly recorded rows, by the positions of outliers after correction."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
-    missed = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
-    for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=missed)):
+    is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
+    for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
         kind = CAUSE_KIND_BY_UNIT_ERROR[mistake.effect]
         change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
@@ -241,14 +241,16 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
 
     They follow from the shape of the network without reference points.
     """
-    declared = {name: recording.target_setup(name) for name in recording.targets}
-    names = [name for name, target in declared.items() if target.known_mm is not None and target.known_axes == "xyz"]
+    setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
+    names = [
+        name for name, target in setup_by_name.items() if target.known_mm is not None and target.known_axes == "xyz"
+    ]
     if len(names) < MIN_POINTS_FOR_EXCHANGE:
         return []
     try:
         (_, _, points), _ = initial_network(without_reference_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
-        there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
+        there = np.array([setup_by_name[name].known_mm for name in names]) * MILLIMETRE
         miss = largest_residual(here, there)
         pairs = list(combinations(range(len(names)), 2))
         swapped = [largest_residual(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]

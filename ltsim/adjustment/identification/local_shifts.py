@@ -133,10 +133,10 @@ def _row_medians(values: Floats, mask: Bools) -> Floats:
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:
     """Least-squares parameters (h, r) with weights (h, m); the minimum-norm solution for dependent columns."""
-    weighted = unit_columns * weight[:, :, None]
-    normal = np.swapaxes(weighted, 1, 2) @ weighted
-    right = np.swapaxes(weighted, 1, 2) @ (residual * weight)[:, :, None]
+    weighted_columns = unit_columns * weight[:, :, None]
+    normal = np.swapaxes(weighted_columns, 1, 2) @ weighted_columns
+    right_side = np.swapaxes(weighted_columns, 1, 2) @ (residual * weight)[:, :, None]
     value, vector = np.linalg.eigh(normal)
     is_used = value > MAX_DEPENDENT_EIGENVALUE * value[:, -1:]
-    along = (np.swapaxes(vector, 1, 2) @ right)[:, :, 0]
+    along = (np.swapaxes(vector, 1, 2) @ right_side)[:, :, 0]
     return np.asarray((vector @ (np.where(is_used, along, 0.0) / np.where(is_used, value, 1.0))[:, :, None])[:, :, 0])

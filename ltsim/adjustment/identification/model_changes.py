@@ -25,10 +25,10 @@ def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_si
         s.start_values if approximate_sizes is not None and s.start_values else (0.0,) * len(s.effect.parameters)
         for s in shifts
     ]
-    whole = np.zeros(size)
-    flat = [v for value in values for v in value]
-    whole[: len(flat)] = flat
-    return whole
+    parameters = np.zeros(size)
+    all_values = [v for value in values for v in value]
+    parameters[: len(all_values)] = all_values
+    return parameters
 
 
 def subtract_shifts(recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sizes: Sightings) -> Recording:

@@ -58,10 +58,10 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     """Hypotheses with their approximate gain of log evidence, the largest first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
-    plain = _non_robust_fit(fit)
+    non_robust_fit = _non_robust_fit(fit)
     spaces = [(ResidualSpace.from_adjustment(fit.adjustment), 0.0)]
-    if plain is not None:
-        spaces.append((ResidualSpace.from_adjustment(plain[0]), plain[1]))
+    if non_robust_fit is not None:
+        spaces.append((ResidualSpace.from_adjustment(non_robust_fit[0]), non_robust_fit[1]))
     for space, behind in spaces:
         gains = np.maximum(gains, _exact_log_evidence(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
@@ -99,8 +99,8 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
     solution = solve(fit.problem_with_all_readings, fit.state)
     if solution.factor is None or not solution.has_converged:
         return None
-    behind = -0.5 * (solution.sum_of_squares - fit.solution.sum_of_squares) - fit.outlier_log_evidence
-    return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(behind, 0.0)
+    evidence_deficit = -0.5 * (solution.sum_of_squares - fit.solution.sum_of_squares) - fit.outlier_log_evidence
+    return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(evidence_deficit, 0.0)
 
 
 def _best_per_place(
@@ -120,13 +120,13 @@ def _best_per_place(
 def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Log evidence (h,) of candidates in a residual space."""
     gains = np.full(len(candidates), -np.inf)
-    chosen = np.arange(len(candidates))
+    indices = np.arange(len(candidates))
     sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if sizes.sum() > MAX_EXACTLY_PROJECTED_ENTRIES:
-        chosen = np.argsort(-_approximate_log_evidence(space, candidates))
-        chosen = chosen[np.cumsum(sizes[chosen]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
+        indices = np.argsort(-_approximate_log_evidence(space, candidates))
+        indices = indices[np.cumsum(sizes[indices]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
-    for i in chosen.tolist():
+    for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
         step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
@@ -222,12 +222,12 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     The network places a target that moved far between both positions, so that no reading to it fits.
     """
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
-    moved = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
+    moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
     share = {
         candidates[i].place_name: float(
             gross[np.append(candidates[i].affected_rows, candidates[i].earlier_rows)].mean()
         )
-        for i in moved
+        for i in moved_indices
     }
     suspects = sorted(
         (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
@@ -236,7 +236,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
         log_occam_factor_of_shift(10.0, 1)
     )
     sigma = fit.problem.sigma
-    for i in (i for i in moved if candidates[i].place_name in suspects):
+    for i in (i for i in moved_indices if candidates[i].place_name in suspects):
         parts = candidates[i].earlier_rows, candidates[i].affected_rows
         points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
         if len(points) < len(parts):

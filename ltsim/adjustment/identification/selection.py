@@ -109,20 +109,21 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
             break
         best = _refine_motion_time(tried[0][1])
         if isinstance(tried[0][0].model_change, CentringChange):
-            best = max(best, _fit_with_other_causes(fit, needed), key=lambda made: made.log_evidence)
+            best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
         chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
     return _compare_again(fit, min_gain, beginning, last, spared)
 
 
-def _fit_with_other_causes(fit: NetworkFit, needed: float) -> NetworkFit:
-    """Fit with a few more hypotheses, none of them centring errors, each with a gain of at least `needed`.
+def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) -> NetworkFit:
+    """Fit with a few more shifts, each with a gain of at least `needed`, where they may exceed the evidence of a rival.
 
-    Displacements of all targets of a set-up also fit the sum of several simple causes. There may be none.
+    Centring errors, the rival, also fit the sum of several simple causes.
     """
-    for _ in range(MAX_CAUSES_BEFORE_CENTRING):
-        tried = _fit_best_hypotheses(fit, allows_centring=False)
+    for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
+        smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
+        tried = _fit_best_hypotheses(fit, smallest, excluded_changes=(CentringChange, NoiseFactor))
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         fit = tried[0][1]
@@ -222,7 +223,7 @@ def _fit_best_hypotheses(
     min_count: float = 0.0,
     replaced_hypothesis: Hypothesis | None = None,
     *,
-    allows_centring: bool = True,
+    excluded_changes: tuple[type, ...] = (),
 ) -> list[tuple[Hypothesis, NetworkFit]]:
     """Fitted hypotheses with the largest approximate gains (at least `min_count`), the best first.
 
@@ -237,7 +238,7 @@ def _fit_best_hypotheses(
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
         if promised <= max(min_count, 0.0) or attempts >= N_FITTED_HYPOTHESES or best > promised:
             break
-        if isinstance(hypothesis.model_change, CentringChange) and not allows_centring:
+        if isinstance(hypothesis.model_change, excluded_changes):
             continue
         if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue

@@ -245,17 +245,17 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if hypothesis.kind == "station-drift":
         return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
-    between = _row_interval_text(fit, hypothesis)
+    interval_text = _row_interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
-        return f"The horizontal circle of {at} was turned by {size} {between}."
+        return f"The horizontal circle of {at} was turned by {size} {interval_text}."
     if hypothesis.kind == "station-bump":
         turn, spread = values[3:], covariance[3:, 3:]
         length = float(np.linalg.norm(turn))
         sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
         turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
-        return f"Station {at} moved {between}, by {size} and {turned}."
+        return f"Station {at} moved {interval_text}, by {size} and {turned}."
     assert isinstance(effect, TargetMoved)
-    return f"Target {at} moved {between}, by {size}."
+    return f"Target {at} moved {interval_text}, by {size}."
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:

@@ -143,13 +143,15 @@ def determining_sentences(
     if not any(directions):
         return [[] for _ in directions]
     network = PlannedNetwork.from_adjustment(adjustment, construction)
-    now = _gains_of_combinations(network, directions)
+    present_gains = _gains_of_combinations(network, directions)
     cheap = [r for r in (second_face_remedy(network), *calibrated_length_remedy(network)) if r]
-    worth = chain(cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network))  # the cheapest first
-    tried = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in worth]
+    candidates = chain(
+        cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network)
+    )  # the cheapest first
+    evaluated = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in candidates]
     return [
         [
-            _determining_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried])
+            _determining_sentence(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
             for k, d in enumerate(combinations)
         ]
         for i, combinations in enumerate(directions)

@@ -55,8 +55,8 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     beam, across, up = (way[rows] for way in sightings.beam_vectors)
     length = sightings.range_[rows]
     share = 0.5 * (1.0 + QUADRATURE_NODES)
-    start = sightings.station_positions[sightings.station[rows]]
-    points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
+    origins = sightings.station_positions[sightings.station[rows]]
+    points = origins[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
     beta = relative_index_change_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS

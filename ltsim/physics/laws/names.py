@@ -38,7 +38,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
     if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
         return "range-cyclic"
     if driver.kind == "constant" and carrier == "distance" and not law.targets:
-        return "range-step" if len(law.stations) == 1 else "range-offset"  # a step is from the start of a visit on
+        return "reflector-constant" if len(law.stations) == 1 else "range-offset"
     if (
         carrier == "place of targets"
         and len(law.targets) == 1

@@ -381,9 +381,9 @@ def wave_regressors(
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
     """Waves in some quantities; each of the parts `n_parts` gets an equal fraction of the pointings."""
-    most = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
+    max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
-        for rate in wave_rates(sightings, name, most):
+        for rate in wave_rates(sightings, name, max_waves):
             yield Regressor("wave", (name,), constant=float(rate))
 
 

@@ -196,11 +196,11 @@ class Regressor:
             return sightings.station, np.unique(sightings.station)
         if self.covariates == ("instrument",):
             return sightings.instrument, np.unique(sightings.instrument)
-        every = np.arange(len(sightings.target_names))
+        all_targets = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
-            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), every
+            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), all_targets
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
-        return sightings.target, np.array(ids) if ids else every
+        return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
         product = np.ones((len(sightings), 1))

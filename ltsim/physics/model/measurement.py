@@ -136,8 +136,8 @@ class MeasurementModel:
     def incidence_columns(self) -> tuple[slice, ...]:
         """Slices of the additional parameters (q,) that belong to each of `incidence_errors`."""
         first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
-        ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
-        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
+        boundaries = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
@@ -153,8 +153,8 @@ class MeasurementModel:
     def centring_columns(self) -> tuple[slice, ...]:
         """Slices of the additional parameters (q,) that belong to each of `centring_errors`."""
         sizes = [len(errors.parameters) for errors in self.centring_errors]
-        ends = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
-        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
+        boundaries = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
     def nuisance_errors(self) -> tuple[Signature, ...]:
@@ -260,8 +260,8 @@ class MeasurementModel:
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Values of each additional effect; 0 for those that a state does not hold."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
-        whole = np.pad(parameters, (0, sum(sizes) - len(parameters)))
-        return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
+        all_values = np.pad(parameters, (0, sum(sizes) - len(parameters)))
+        return np.split(all_values, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
@@ -315,8 +315,8 @@ def has_plan(recording: Recording) -> bool:
     """True if the set-up determines the rotation from floor plan to network frame (`plan_rotation`)."""
     stations = [recording.station_setup(name) for name in recording.stations]
     has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
-    placed = sum(station.position_mm is not None for station in stations)
-    return has_control or placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
+    n_placed = sum(station.position_mm is not None for station in stations)
+    return has_control or n_placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:

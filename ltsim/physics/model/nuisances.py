@@ -101,10 +101,10 @@ class CentringErrors(Signature):
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, q) [m] of each pointing's reflector per unit of each component."""
-        moved = np.zeros((len(sightings), 3, self.n_occupations, 3))
+        displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         rows = np.flatnonzero(self.occupation >= 0)
-        moved[rows, :, self.occupation[rows]] = np.eye(3)
-        return moved.reshape(len(sightings), 3, -1)
+        displacements[rows, :, self.occupation[rows]] = np.eye(3)
+        return displacements.reshape(len(sightings), 3, -1)
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each component."""

@@ -162,17 +162,19 @@ def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
 
 
 def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
-    turned = next((word for word in sigma_words if word in ROTATION_KEYWORDS), None)
-    if turned is not None:
-        raise location.error(f"{turned}: standard deviations in rotated axes are not read; give APRICOV")
+    rotation_word = next((word for word in sigma_words if word in ROTATION_KEYWORDS), None)
+    if rotation_word is not None:
+        raise location.error(f"{rotation_word}: standard deviations in rotated axes are not read; give APRICOV")
     if "APRICOV" in sigma_words:
         point.add_observation(
             point.declared_point, _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location)
         )
         return
-    declared = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
-    sigma = np.array([location.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMA_OPTIONS])
-    if declared:
+    word_after = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
+    sigma = np.array(
+        [location.number(word_after[s], s) * MILLIMETRE if s in word_after else np.nan for s in SIGMA_OPTIONS]
+    )
+    if word_after:
         point.add_observation(point.declared_point, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
@@ -235,8 +237,8 @@ class PolarInstrument:
 
     def instrument(self, name: str) -> Instrument:
         """Instrument of the set-up; a name such as AT402.392506 contains model and serial number."""
-        parts = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
-        model, serial = parts.groups() if parts else (None, None)
+        match = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
+        model, serial = match.groups() if match else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:

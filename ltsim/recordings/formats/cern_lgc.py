@@ -302,8 +302,8 @@ class _TangentPlane:
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
         """Plane around the median of the points in use; points at 0, 0 are placeholders."""
-        placed = [point.declared_point[:2] for point in points if not point.is_placeholder]
-        return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(earth_model))
+        plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
+        return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
     def plane_coordinates(self, place: Floats) -> Vector:
         """Coordinates [mm] of a place in the plane."""

@@ -103,14 +103,14 @@ def _without_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
     `..` is not permitted either.
     """
-    named = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
-    given = dict.fromkeys(element.attrib[key] for element, key in named)
+    attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
+    given = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
     for name in (name for name in given if "/" in name and ".." not in name):
         names[name] = name.replace("/", "_")
         while names[name] in given or list(names.values()).count(names[name]) > 1:
             names[name] += "_"
-    for element, key in named:
+    for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
     if names:
         network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
@@ -277,11 +277,11 @@ def _scale_sigma(
 
 def _parse_angle(child: XmlNode) -> tuple[float, float]:
     """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation."""
-    parts = _DMS.fullmatch(child.required_attribute("val"))
-    if parts is None:
+    match = _DMS.fullmatch(child.required_attribute("val"))
+    if match is None:
         return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
-    degrees = float(parts[2]) + float(parts[3]) / 60 + float(parts[4]) / 3600
-    return (-degrees if parts[1] == "-" else degrees) * DEGREE, ARCSECOND
+    degrees = float(match[2]) + float(match[3]) / 60 + float(match[4]) / 3600
+    return (-degrees if match[1] == "-" else degrees) * DEGREE, ARCSECOND
 
 
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:

@@ -47,16 +47,16 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     root = parse_xml(path)
     if root.tag != ROOT_ELEMENT:
         raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
-    named = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
-    stations = {node.required_attribute("id"): node for node in named if node.tag == "station"}
-    geometries = {node.required_attribute("id"): node for node in named if node.tag != "station"}
+    named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
+    stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
+    geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
     notes: Counter[str] = Counter()
     readings = [_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
-    start = np.min([p.time for p in pointings])
-    pointings = [replace(p, time=p.time - start) for p in pointings]
+    first_time = np.min([p.time for p in pointings])
+    pointings = [replace(p, time=p.time - first_time) for p in pointings]
     counts = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
     recording = recording_of_pointings(pointings, setup, notes=counts, file=path)

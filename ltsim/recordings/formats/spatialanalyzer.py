@@ -154,10 +154,10 @@ def _read_blocks(path: Path) -> list[_Block]:
 
 def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
-    parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
-    if parts is None:
+    match = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
+    if match is None:
         raise location.error("a block without the name of its set-up")
-    return parts[1] or "", parts[2], (parts[3] or "").replace("/", "-").strip()
+    return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
 
 
 def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:

@@ -136,13 +136,13 @@ def _possible_conventions(
 ) -> list[tuple[str, str]]:
     """Unit and kind of the vertical angle that the numbers permit, most likely first."""
     vertical = _column_numbers(columns[angle_columns[0]])
-    largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
+    max_value = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
     if _is_sexagesimal(first, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
-    elif largest < MAX_CIRCLE_RADIANS:
+    elif max_value < MAX_CIRCLE_RADIANS:
         units = ("rad",)
     else:
-        units = ("deg", "gon") if largest <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
+        units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
     lowest = min(vertical, default=Decimal(0))
     kind = "elevation" if lowest < 0 else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]

@@ -146,14 +146,14 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     Coordinates in a table of polar readings are further columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
-    both = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
+    two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     polar = _reading_kinds(candidates) > 1
     words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
     columns: list[TableColumn] = []
     taken: set[tuple[str, int]] = set()
     for column in candidates:
         assigned = column
-        if assigned.face and assigned.role not in both:
+        if assigned.face and assigned.role not in two_face_roles:
             assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
         if title_words_and_unit(assigned.title)[0] in fallback and not words[assigned.role] <= {*fallback}:
@@ -171,12 +171,12 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Columns with a number added to each repeated title, because titles are the keys of additional columns."""
-    before: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     distinct = []
     for column in columns:
-        before[column.title] += 1
-        again = column.title and before[column.title] > 1
-        distinct.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+        counts[column.title] += 1
+        again = column.title and counts[column.title] > 1
+        distinct.append(replace(column, title=f"{column.title} ({counts[column.title]})") if again else column)
     return distinct
 
 
@@ -260,8 +260,8 @@ def title_role(name: str) -> str:
 
 
 def _normalised_text(text: str) -> str:
-    bare = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
-    return re.sub(r"[^a-z0-9]", "", bare)
+    letters = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
+    return re.sub(r"[^a-z0-9]", "", letters)
 
 
 def _column_from_title(place: int, title: str, *, has_face: bool = True) -> TableColumn:

@@ -113,20 +113,20 @@ def interpret_readings(
         return _readings_from_coordinates(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_of = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
-    printed = table.pointings
-    _, station = index_names(printed.station, "station", file)
-    _, target = index_names(printed.target, "target", file)
+    pointings = table.pointings
+    _, station = index_names(pointings.station, "station", file)
+    _, target = index_names(pointings.target, "target", file)
     polar = PolarReadings(
         station,
         target,
-        *(to_floats(printed.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
+        *(to_floats(pointings.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
     )
     units, vertical, notes = _angle_conventions(columns, unit_of, polar, hints, file)
     length, more = _length_convention(unit_of["distance"], polar, table, hints, file)
     meaning = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
     azimuth, why = _azimuth_sense(table, meaning, polar, poses, hints, file)
     meaning = replace(meaning, azimuth=azimuth, notes=(*notes, *more, *why))
-    return meaning, meaning.readings(printed)
+    return meaning, meaning.readings(pointings)
 
 
 def _angle_conventions(
@@ -222,8 +222,8 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
     Raises RecordError if a coordinate is missing, or if all set-ups are in one frame.
     """
-    printed = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
-    rows, axes = np.nonzero(np.isnan(printed))
+    coordinates = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
+    rows, axes = np.nonzero(np.isnan(coordinates))
     if len(rows):
         raise table.pointings.source_location(int(rows[0])).error(
             f"the coordinate {COORDINATE_ROLES[axes[0]]} is missing"
@@ -231,14 +231,14 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     length = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length:
-        length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
-    readings = to_polar(printed * SI_PER_UNIT[length])
+        length, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
+    readings = to_polar(coordinates * SI_PER_UNIT[length])
     near_indices = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near_indices):
         raise table.pointings.source_location(int(near_indices[0])).error(
             "coincides with the instrument, expected another point"
         )
-    _require_separate_frames(table, printed * SI_PER_UNIT[length], file)
+    _require_separate_frames(table, coordinates * SI_PER_UNIT[length], file)
     return ColumnInterpretation(
         "rad", "rad", length, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
     ), readings
@@ -269,10 +269,10 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
     if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
-    printed = table.pointings
-    columns_of_numbers = [map(cells.parse_value, printed.texts(title), printed.grouping) for title, _ in titles]
-    printed.additional_cells = {
-        title: column for title, column in printed.additional_cells.items() if title not in dict(titles)
+    pointings = table.pointings
+    columns_of_numbers = [map(cells.parse_value, pointings.texts(title), pointings.grouping) for title, _ in titles]
+    pointings.additional_cells = {
+        title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)
     }
     sizes = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
     variance = (np.stack(sizes, axis=1) * [factor for _, factor in titles]) ** 2

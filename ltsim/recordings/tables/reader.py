@@ -38,16 +38,16 @@ def with_time_column(table: PointingTable) -> PointingTable:
     """Table with a time column: if no title means time, the first additional column of times is used."""
     if table.column(("time",)) is not None:
         return table
-    printed = table.pointings
+    pointings = table.pointings
     for column in table.columns:
-        texts = printed.additional_cells.get(column.title, [])
+        texts = pointings.additional_cells.get(column.title, [])
         filled = [text for text in texts if text]
         if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
             continue
         title = column.title
-        printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
-        printed.additional_cells = {
-            name: cells_of for name, cells_of in printed.additional_cells.items() if name != title
+        pointings.moment = [" ".join(filter(None, both)) for both in zip(pointings.moment, texts, strict=True)]
+        pointings.additional_cells = {
+            name: cells_of for name, cells_of in pointings.additional_cells.items() if name != title
         }
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
         table.notes.append(f"'{quoted_text(title)}' is interpreted as the time of each pointing (its cells are clocks)")
@@ -201,13 +201,13 @@ def assemble_recording(
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
     """Labels of both mappings; in each row a non-empty label of `priority_labels` has priority."""
-    both = {
+    merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
         else column
         for name, column in default_labels.items()
     }
-    return {**priority_labels, **both}
+    return {**priority_labels, **merged_labels}
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
@@ -246,8 +246,8 @@ def _additional_columns(
     values = [c for c in columns if c.title not in words]
     converted = {c.title: _covariate_values(c, table.pointings, interpretation) for c in values}
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
-    named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
-    names = {c.title: c.role if c.title in named else c.title for c in columns}
+    used_titles = words | {c.title for c in values if "_" in c.role and c.title in numeric}
+    names = {c.title: c.role if c.title in used_titles else c.title for c in columns}
     covariates = {names[title]: column for title, column in numeric.items()}
     labels = {
         names[title]: column for title, column in table.pointings.additional_cells.items() if title not in numeric

@@ -97,8 +97,12 @@ class TextRows(Sequence[SheetRow]):
     @property
     def rows_with_comma_and_point(self) -> TextRows:
         """Rows that may have a field with both a comma and a point."""
-        whole = self._separator == ","  # fields then hold commas in quotes alone
-        mixed = [line for line in self._lines if "," in line[1] and "." in line[1] and ('"' in line[1] or not whole)]
+        is_comma_separated = self._separator == ","  # fields then hold commas in quotes alone
+        mixed = [
+            line
+            for line in self._lines
+            if "," in line[1] and "." in line[1] and ('"' in line[1] or not is_comma_separated)
+        ]
         return TextRows(mixed, self._separator)
 
 
@@ -173,14 +177,14 @@ def read_text_sheet(file: Path) -> TableSheet:
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     """Rows of the lines that are not blank; raises RecordError for a line with too many fields."""
     separator = _detect_separator(lines)
-    held = []
+    rows = []
     for i, line in enumerate(lines):
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not says_separator:
             if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
-            held.append((i + 1, line))
-    return TextRows(held, separator)
+            rows.append((i + 1, line))
+    return TextRows(rows, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:

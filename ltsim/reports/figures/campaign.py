@@ -357,8 +357,10 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
     n, z2 = row.trials, NORMAL_QUANTILE_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
-    half = NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
-    return float(centre - half), float(centre + half)
+    half_width = (
+        NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
+    )
+    return float(centre - half_width), float(centre + half_width)
 
 
 def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:

@@ -65,7 +65,7 @@ def statistic_figures(
     Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
     """
     factors, several = varying_factors(results), f"{results.manifest.trials} trials per setting."
-    how: dict[str, Any] = {"label": label, "published": published_value}
+    how: dict[str, Any] = {"label": label, "published_value": published_value}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     of_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
@@ -118,11 +118,11 @@ def factor_arrangement(
     """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
     levels = {f.name: len(set(levels_of_cells(results, f))) for f in factors}
     along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
-    rest = [f for f in factors if f is not along]
-    if len(results.manifest.methods) > 1 or not rest:
-        return along, None, rest
-    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
-    return along, across, [f for f in rest if f is not across]
+    other_factors = [f for f in factors if f is not along]
+    if len(results.manifest.methods) > 1 or not other_factors:
+        return along, None, other_factors
+    across = max(other_factors, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
+    return along, across, [f for f in other_factors if f is not across]
 
 
 def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:

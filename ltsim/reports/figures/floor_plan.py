@@ -78,7 +78,7 @@ MAX_LISTED_STATIONS = 16
 MAX_NAMES_PER_LABEL = 4
 """Number of targets above each other from which a label names only the first."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
-"""Distance within which targets share a label, over the size of the floor."""
+"""Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
 """Width of the axes [inch]."""
 FLOOR_PLAN_HEIGHTS = (3.6, 6.6)

@@ -126,7 +126,9 @@ def _next_actions(content: Diagnosis) -> list[str]:
         return []
     separate = [as_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     inspect = [_inspection_action(finding) for finding in content.findings]
-    use = "Use the coordinates in targets.csv, which account for the findings."
+    use = "Use the coordinates in targets.csv, which account for the findings"
+    moved = [name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets]
+    use += f"; those of {listing(moved)} are from before the motion." if moved else "."
     return [*separate[:1], *dict.fromkeys(inspect[: MAX_INSPECTION_ACTIONS - len(separate[:1])]), use]
 
 

@@ -260,7 +260,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         ("distance", scalar_regressor("station-time", "decay", 600.0), ("S2",), "range-drift"),
         ("distance", scalar_regressor("distance", "power"), (), "unknown"),
         ("distance", CONSTANT_REGRESSOR, (), "range-offset"),
-        ("distance", CONSTANT_REGRESSOR, ("S2",), "range-step"),
+        ("distance", CONSTANT_REGRESSOR, ("S2",), "reflector-constant"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
         ("elevation", Regressor("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=1.0), (), "unknown"),
