@@ -140,9 +140,9 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MIN_CONTRADICTION_SIGMAS))
 
 
-def verdict_entry(adjustment: Adjustment) -> Verdict:
-    """Verdict on the test to trust, with the global test at the level `AGREEMENT_LEVEL`."""
-    return verdict_on(adjustment, level=AGREEMENT_LEVEL)
+def verdict_entry(adjustment: Adjustment, with_constants: FitEntry | None = None) -> Verdict:
+    """Verdict on the test to trust at the level `AGREEMENT_LEVEL`; `with_constants` is the fit with them estimated."""
+    return verdict_on(adjustment, AGREEMENT_LEVEL, with_constants and (with_constants.chi2, with_constants.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
