@@ -103,7 +103,9 @@ def peers(trials: int) -> None:
     recordings = [recording_of_trial(truth, block, k) for k in range(trials)]
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
-    known = [lambda r=r: adjust(r, engine.construction, start=engine.batch_network.nominal_state) for r in recordings]
+    known = [
+        lambda r=r: adjust(r, engine.construction, start_state=engine.batch_network.nominal_state) for r in recordings
+    ]
     rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))
     solvers: dict[str, Solver | None] = {
         "numpy Gauss-Newton, analytic": numpy_gauss_newton,
@@ -222,7 +224,7 @@ def scaling(short: bool) -> None:
         )  # fmt: skip
     print("\nCost against the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
-    print(align_columns(heads, rows, text_columns=0))
+    print(align_columns(heads, rows, n_text_columns=0))
 
 
 def trials_against_time(short: bool) -> None:
@@ -242,7 +244,7 @@ def trials_against_time(short: bool) -> None:
         "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
     )
     print("solver, written; two processes, wall clock\n")
-    print(align_columns(["trials", "s", "trials a second"], rows[1:], text_columns=0))
+    print(align_columns(["trials", "s", "trials a second"], rows[1:], n_text_columns=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 

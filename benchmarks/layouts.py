@@ -46,7 +46,7 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
     flat = position.reshape(-1, 3)
     seen = search.search_space.is_visible(flat)
     good = search.search_space.is_feasible(position, seen.reshape(BATCH, count, -1))
-    blocks = search.scorer.normal_blocks(flat, yaw.ravel(), visible=seen)
+    blocks = search.scorer.normal_blocks(flat, yaw.ravel(), is_visible=seen)
     reduced = search.scorer.evaluate_layouts(blocks, np.arange(BATCH * count).reshape(BATCH, count))
     values = search.objective.objective_values(reduced, search.construction.n_parameters)
     return int(np.sum(np.isfinite(values) & good))

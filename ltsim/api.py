@@ -56,15 +56,18 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     return read_recording(place, format=format, hints=hints)
 
 
-def _result_file(place: Path) -> Path | None:
+def _result_file(file_or_folder: Path) -> Path | None:
     """The file of a result that a path names, itself or in a folder without a recording; None for a recording."""
-    if place.is_file():
-        return place if place.suffix == ".json" and not is_recording(place) else None
-    if (place / OBSERVATIONS_FILE).is_file():
+    if file_or_folder.is_file():
+        return file_or_folder if file_or_folder.suffix == ".json" and not is_recording(file_or_folder) else None
+    if (file_or_folder / OBSERVATIONS_FILE).is_file():
         return None
     from ltsim.reports.schemas import FILE_MODELS  # which takes a second
 
-    return next((place / name for name in FILE_MODELS if name.endswith(".json") and (place / name).is_file()), None)
+    return next(
+        (file_or_folder / name for name in FILE_MODELS if name.endswith(".json") and (file_or_folder / name).is_file()),
+        None,
+    )
 
 
 def _read_result(file: Path) -> Any:
@@ -125,7 +128,7 @@ def write(
         _write_result(result, Path(path), recording)
 
 
-def _write_result(result: ResultFile, path: Path, recording: Recording | None) -> None:
+def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
     """Writer of results other than recordings; the package is loaded already, since the result came from it."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
@@ -134,23 +137,23 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
     from ltsim.planning.result import Plan, write_plan
     from ltsim.simulation.truth import Truth, write_truth
 
-    match result:
+    match result_file:
         case Truth():
-            write_truth(result, path)
+            write_truth(result_file, path)
         case Calibration():
-            write_calibration(result, path)
+            write_calibration(result_file, path)
         case Diagnosis():
-            write_diagnosis(result, path, recording)
+            write_diagnosis(result_file, path, recording)
         case Plan():
-            write_plan(result, path)
+            write_plan(result_file, path)
         case ResultFile():
             from ltsim.reports.schemas import COMPANION_TABLES  # which takes half a second
 
-            named = {table.file for table in COMPANION_TABLES.get(result.FILE, ())}
-            tables = [result.table(name) for name in result._tables()]
-            write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})
+            named = {table.file for table in COMPANION_TABLES.get(result_file.FILE, ())}
+            tables = [result_file.table(name) for name in result_file._tables()]
+            write_result(path, result_file, {table.file: table.csv() for table in tables if table.file in named})
         case _:
-            raise ModelError(f"a {type(result).__name__} has no files; a recording, truth, calibration, ... has")
+            raise ModelError(f"a {type(result_file).__name__} has no files; a recording, truth, calibration, ... has")
 
 
 def convert(
@@ -188,7 +191,7 @@ def convert(
     >>> lt.convert(recording, "workshop.txt", to="polar-text")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
-    check_bounds(every=every, required="every")
+    check_bounds(every=every, required_argument="every")
     recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
     recording = recording if every == 1 else recording.thin(every)
     write_recording(recording, destination, to)

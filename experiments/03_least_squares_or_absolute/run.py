@@ -56,7 +56,7 @@ class WithoutOutliers:
             if not found:
                 break
             use[found[0].row, found[0].observable_column] = False
-            adjustment = adjust(recording, self.construction, reading_mask=use, start=adjustment.state)
+            adjustment = adjust(recording, self.construction, reading_mask=use, start_state=adjustment.state)
         return adjustment
 
     def difference(self, block: TrialBatch, trial: int, found: CalibratedBlock) -> float:

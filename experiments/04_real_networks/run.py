@@ -44,7 +44,7 @@ def gama(out: Path) -> None:
     for name in GAMA:
         recording, theirs = read(DATA / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
         ours = adjust(recording)
-        reduced = adjust(to_marks(ours), start=ours.state)
+        reduced = adjust(to_marks(ours), start_state=ours.state)
         unit = theirs.apriori**2
         off, between = (100 * np.abs(sigma_ratio(a, name) - 1).max() for a in (ours, reduced))
         rows.append({

@@ -50,7 +50,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
             continue
         position, yaw, visible = position[good], yaw[good], visible[good]
         blocks = search.scorer.normal_blocks(
-            position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(yaw.size, -1)
+            position.reshape(-1, 3), yaw.ravel(), is_visible=visible.reshape(yaw.size, -1)
         )
         reduced = search.scorer.evaluate_layouts(blocks, np.arange(yaw.size).reshape(yaw.shape))
         found = search.objective.objective_values(reduced, search.construction.n_parameters)

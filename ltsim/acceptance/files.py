@@ -131,21 +131,21 @@ class AcceptanceFile(ResultFile):
 
 
 def group_entries(
-    tests: Sequence[TestEntry], passes: Mapping[str, float], *, predicted: bool
+    test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float], *, is_predicted: bool
 ) -> tuple[GroupEntry, ...]:
     """Summaries of the tests by group; in a prediction the uncertainty of an error is included in it."""
 
-    def share(test: TestEntry) -> float:
-        margin = (test.expanded_um or 0.0) if predicted else 0.0
-        return (abs(test.error_um) + margin) / test.limit_um
+    def share(test_entry: TestEntry) -> float:
+        margin = (test_entry.expanded_um or 0.0) if is_predicted else 0.0
+        return (abs(test_entry.error_um) + margin) / test_entry.limit_um
 
-    shares = {name: [share(t) for t in tests if t.group == name] for name in passes}
+    shares = {name: [share(t) for t in test_entries if t.group == name] for name in pass_probability_by_group}
     return tuple(
         GroupEntry(name=name, tests=len(shares[name]), passes=p, largest_share=max(shares[name]))
-        for name, p in passes.items()
+        for name, p in pass_probability_by_group.items()
     )
 
 
-def pass_probability_text(content: AcceptanceFile, probability: float) -> str:
+def pass_probability_text(acceptance_file: AcceptanceFile, probability: float) -> str:
     """Text of the probability to pass or, for measured errors, of their comparison with the limits."""
-    return f"{100 * probability:.1f} %" if content.kind == "predicted" else "yes" if probability == 1 else "no"
+    return f"{100 * probability:.1f} %" if acceptance_file.kind == "predicted" else "yes" if probability == 1 else "no"

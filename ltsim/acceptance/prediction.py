@@ -52,7 +52,7 @@ class AcceptancePlan:
         limit[chosen] = self.specification.length_limits(first[chosen], second[chosen])
         return limit
 
-    def test_errors(self, values: Floats) -> Floats:
+    def test_errors(self, constants: Floats) -> Floats:
         """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise; exact.
 
         For a length they are measured minus true, and 0. For a two-face test they are the front-face point minus the
@@ -60,11 +60,11 @@ class AcceptancePlan:
         """
         first, second = self._test_ends
         front = np.ones(len(first), dtype=np.int64)
-        points = from_polar(self.construction.readings(first, front, values))
-        far = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), values))
+        points = from_polar(self.construction.readings(first, front, constants))
+        far_points = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), constants))
         errors = np.zeros((len(first), 2))
-        errors[:, 0] = np.linalg.norm(far - points, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = parts_across_beam(points - far, first)[~self.is_length]
+        errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
+        errors[~self.is_length] = parts_across_beam(points - far_points, first)[~self.is_length]
         return errors
 
     @cached_property
@@ -103,7 +103,7 @@ class AcceptancePlan:
         about the mean.
         """
         rng = stream(seed, "accept")
-        middle = self.test_errors(mean)
+        mean_errors = self.test_errors(mean)
         root = _covariance_root(covariance)
         passed = np.zeros(len(self.tests))
         every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)
@@ -114,7 +114,7 @@ class AcceptancePlan:
                 rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
             )
             noise = rng.standard_normal((count, *self.error_sigmas.shape)) * self.error_sigmas
-            within = self.is_within_limits(middle + drawn.reshape(count, *middle.shape) + noise)
+            within = self.is_within_limits(mean_errors + drawn.reshape(count, *mean_errors.shape) + noise)
             passed += within.sum(axis=0)
             every += int(within.all(axis=1).sum())
             for name, mine in of_group.items():
@@ -123,7 +123,7 @@ class AcceptancePlan:
             np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.error_sigmas**2
         )
         return AcceptancePrediction(
-            expected_errors=middle,
+            expected_errors=mean_errors,
             error_sigmas=np.sqrt(variance),
             pass_probabilities=passed / trials,
             p_all_pass=every / trials,
@@ -137,11 +137,15 @@ class AcceptancePlan:
     def smallest_failing(self) -> tuple[Floats, list[AcceptanceTest]]:
         """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test; inf if none."""
         per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
-        at = np.argmax(per_unit, axis=0)
-        most = per_unit[at, np.arange(len(at))]
-        usual = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(most * usual > MAX_ROUNDING_FRACTION, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
-        return size, [self.tests[i] for i in at]
+        indices = np.argmax(per_unit, axis=0)
+        max_errors = per_unit[indices, np.arange(len(indices))]
+        prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
+        size = np.where(
+            max_errors * prior_sigmas > MAX_ROUNDING_FRACTION,
+            1.0 / np.maximum(max_errors, np.finfo(float).tiny),
+            np.inf,
+        )
+        return size, [self.tests[i] for i in indices]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest errors of points (n, 3) [m] that still meet every limit.
@@ -152,24 +156,24 @@ class AcceptancePlan:
         """
         harm = point_errors_by_constant(self.construction, points, prior)
         directions = (self.sensitivities * prior / self.permissible_errors[:, None, None]).reshape(-1, len(prior))
-        bound = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
-        root = np.linalg.inv(np.linalg.cholesky(bound))
+        metric = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
+        root = np.linalg.inv(np.linalg.cholesky(metric))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array([self._longest_passing(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
         gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
-        best = int(rms.argmax())
+        best_index = int(rms.argmax())
         tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior] = 0.0
-        return tried[best], float(rms[best]), float(gaps[best].max())
+        return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
-    def _longest_passing(self, direction: Floats, prior: Floats) -> Floats:
+    def _longest_passing(self, unit_direction: Floats, prior: Floats) -> Floats:
         """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
         low, high = 0.0, MAX_PRIOR_SIGMAS
         while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
-            passes = self.is_within_limits(self.test_errors(middle * direction * prior)).all()
+            passes = self.is_within_limits(self.test_errors(middle * unit_direction * prior)).all()
             low, high = (middle, high) if passes else (low, middle)
-        return low * direction * prior
+        return low * unit_direction * prior
 
 
 @dataclass(frozen=True)
@@ -188,18 +192,18 @@ class AcceptancePrediction:
     """Probability that all tests of a group pass."""
 
 
-def point_errors_by_constant(construction: Construction, points: Floats, scale: Floats) -> Floats:
-    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by each constant of size `scale`, after a best fit.
+def point_errors_by_constant(construction: Construction, points: Floats, prior_sigma: Floats) -> Floats:
+    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by constants of size `prior_sigma`, after a best fit.
 
     A rigid motion of all points is not counted.
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
         (from_polar(construction.readings(points, front, s)) - from_polar(construction.readings(points, front, -s))) / 2
-        for s in np.diag(scale)
+        for s in np.diag(prior_sigma)
     ]
-    moved = np.stack([c.ravel() for c in columns], axis=1)
-    return remove_rigid_motion(moved, points - points.mean(axis=0))
+    displacements = np.stack([c.ravel() for c in columns], axis=1)
+    return remove_rigid_motion(displacements, points - points.mean(axis=0))
 
 
 def _covariance_root(covariance: Floats) -> Floats:
@@ -212,23 +216,23 @@ def predicted_result(
     plan: AcceptancePlan,
     prediction: AcceptancePrediction,
     prior: Floats,
-    acceptance: AcceptanceSettings,
+    acceptance_settings: AcceptanceSettings,
     *,
-    instrument_text: str,
+    instrument_description: str,
 ) -> AcceptanceFile:
-    """Result for predicted tests of an instrument `instrument_text`.
+    """Result for predicted tests of an instrument `instrument_description`.
 
     `prior` (p,) [SI] are standard deviations of its constants.
     """
     values, rms, largest = plan.worst_passing(prior, envelope_points())
     size = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
-    signed = np.where(plan.is_length, prediction.expected_errors[:, 0], size)
-    expanded = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
+    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], size)
+    expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
         for t, limit, e, u, p in zip(
             plan.tests,
-            *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, signed, expanded)),
+            *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, errors, expanded_uncertainties)),
             prediction.pass_probabilities,
             strict=True,
         )
@@ -246,19 +250,19 @@ def predicted_result(
         for k, p in enumerate(parameters)
     )
     chance = f"{100 * prediction.p_all_pass:.1f} %" if prediction.p_all_pass < 0.9995 else "more than 99.9 %"
-    weakest = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
-    sentence = f"{instrument_text} passes all {len(tests)} tests with a probability of {chance}"
-    if weakest[0] < 0.9995:
-        sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
+    least_probable = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
+    sentence = f"{instrument_description} passes all {len(tests)} tests with a probability of {chance}"
+    if least_probable[0] < 0.9995:
+        sentence += f"; the hardest is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
     return AcceptanceFile(
-        title=acceptance.title,
+        title=acceptance_settings.title,
         kind="predicted",
-        plan=acceptance.plan_name,
+        plan=acceptance_settings.plan_name,
         specification=plan.specification,
         assumption=plan.specification.assumption_sentence,
         passes=prediction.p_all_pass,
         sentence=sentence,
-        groups=group_entries(tests, prediction.p_group_passes, predicted=True),
+        groups=group_entries(tests, prediction.p_group_passes, is_predicted=True),
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(

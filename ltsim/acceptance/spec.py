@@ -83,26 +83,29 @@ def iso_two_face_tests(height: float) -> list[AcceptanceTest]:
     return list(_two_face_tests((1.5, 6.0), height, (0, 120, 240)))
 
 
-def _two_face_tests(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[AcceptanceTest]:
+def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Sequence[int]) -> Iterator[AcceptanceTest]:
     """Two-face tests at horizontal distances: on the floor, level with the head, and at twice its height."""
     for away in distances:
         for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
-            for turn in turns:
+            for turn in azimuths_deg:
                 point = _rotated_about_vertical(np.array([away, 0.0, z]), turn)
                 yield AcceptanceTest(f"two-face {away:g} m {where} {turn} deg", "two-face", "two-face", point, point)
 
 
-def _length_test(group: str, tilt: float, distance: float, turn: int) -> AcceptanceTest:
+def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg: int) -> AcceptanceTest:
     """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
-    half = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
-    middle = np.array([distance, 0.0, 0.0])
-    ends = _rotated_about_vertical(middle - half, turn), _rotated_about_vertical(middle + half, turn)
-    return AcceptanceTest(f"{group} {distance:g} m {turn} deg", group, "length", *ends)
+    half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
+    midpoint = np.array([distance, 0.0, 0.0])
+    ends = (
+        _rotated_about_vertical(midpoint - half_vector, azimuth_deg),
+        _rotated_about_vertical(midpoint + half_vector, azimuth_deg),
+    )
+    return AcceptanceTest(f"{test_group} {distance:g} m {azimuth_deg} deg", test_group, "length", *ends)
 
 
-def _rotated_about_vertical(point: Floats, turn: float) -> tuple[float, float, float]:
+def _rotated_about_vertical(point: Floats, rotation_deg: float) -> tuple[float, float, float]:
     """Point rotated about the vertical by an angle [deg]."""
-    angle = np.radians(turn)
+    angle = np.radians(rotation_deg)
     x, y, z = point
     return (
         float(x * np.cos(angle) - y * np.sin(angle)),
@@ -111,9 +114,9 @@ def _rotated_about_vertical(point: Floats, turn: float) -> tuple[float, float, f
     )
 
 
-def builtin_tests(standard: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
+def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
     """Tests of a standard, as far as they are published openly."""
-    return asme_tests(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face_tests(height)
+    return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
 @as_setup_error()
@@ -129,33 +132,37 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 
 
 def read_table_rows(
-    file: Path, required: Sequence[str], optional: Sequence[str] = ()
+    file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a user-written table with the columns `required`; raises RecordError or SetupError."""
+    """Lines and rows of a user-written table with the columns `required_columns`; raises RecordError or SetupError."""
     header, rows = table_rows(file)
-    missing = [name for name in required if name not in header]
+    missing = [name for name in required_columns if name not in header]
     if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*required, *optional])}")
+        raise SetupError(
+            f"{file}: there is no column {missing[0]}; expected {','.join([*required_columns, *optional_columns])}"
+        )
     return rows
 
 
-def _test_from_row(row: dict[str, str], line: int, file: Path) -> AcceptanceTest:
+def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> AcceptanceTest:
     kind = row["kind"]
     if kind not in ("length", "two-face"):
-        raise SetupError(f"{file}: row {line}: kind is '{quoted_text(kind)}', expected length or two-face")
-    first = _point_from_row(row, "1", line, file)
-    second = _point_from_row(row, "2", line, file) if kind == "length" else first
+        raise SetupError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
+    first = _point_from_row(row, "1", line_number, file)
+    second = _point_from_row(row, "2", line_number, file) if kind == "length" else first
     if kind == "length" and first == second:
-        raise SetupError(f"{file}: row {line}: both ends of the length are the same point")
-    name = row["test"] or f"{kind} in line {line}"
+        raise SetupError(f"{file}: row {line_number}: both ends of the length are the same point")
+    name = row["test"] or f"{kind} in line {line_number}"
     return AcceptanceTest(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
 
 
-def _point_from_row(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
-    columns = (f"{axis}{end}_mm" for axis in "xyz")
-    values = [parse_comma_number(row[name], file=file, row=line, column=name) / 1000 for name in columns]
+def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
+    columns = (f"{axis}{end_name}_mm" for axis in "xyz")
+    values = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
-        raise SetupError(f"{file}: row {line}: point {end} is on the instrument's own axis, which has no azimuth")
+        raise SetupError(
+            f"{file}: row {line_number}: point {end_name} is on the instrument's own axis, which has no azimuth"
+        )
     return values[0], values[1], values[2]
 
 
@@ -254,8 +261,8 @@ class AcceptanceSettings(TomlSection):
         """Tests of the standard or of files relative to `folder`; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
-        further = [] if self.lengths is None else read_tests(folder / self.lengths)
-        return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *further)
+        user_tests = [] if self.lengths is None else read_tests(folder / self.lengths)
+        return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *user_tests)
 
 
 @as_setup_error()
@@ -265,12 +272,12 @@ def load_acceptance(path: Path) -> AcceptanceSettings:
 
 
 @as_setup_error()
-def validate_acceptance(data: Mapping[str, Any], file: object) -> AcceptanceSettings:
+def validate_acceptance(tables: Mapping[str, Any], file: object) -> AcceptanceSettings:
     """Validated tables of an acceptance file; `file` is named in errors. Raises SetupError."""
-    name, specification = data.get("instrument"), data.get("specification", {})
+    name, specification = tables.get("instrument"), tables.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": complete_figures(name, specification)}
+            tables = {**tables, "specification": complete_figures(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
-    return validate_settings(data, AcceptanceSettings, "acceptance file", file)
+    return validate_settings(tables, AcceptanceSettings, "acceptance file", file)

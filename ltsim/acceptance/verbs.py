@@ -61,33 +61,35 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     return _predict_or_evaluate(acceptance, place)
 
 
-def _predict_or_evaluate(acceptance: AcceptanceSettings, folder: Path) -> AcceptanceFile:
-    limits = acceptance.limits
-    if acceptance.recording is not None:
-        recording = read(folder / acceptance.recording)
+def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
+    limits = acceptance_settings.limits
+    if acceptance_settings.recording is not None:
+        recording = read(folder / acceptance_settings.recording)
         result = network_test_entries(recording, limits)
-        return evaluated_result(result, acceptance, recording=recording)
-    tests = acceptance.make_tests(folder)
-    nominal = limits.to_instrument(acceptance.construction)
-    built = construction_of_design(acceptance.construction)
-    if acceptance.measured is not None:
-        plan = AcceptancePlan(tests, built, limits, nominal.noise)
-        errors = read_measured(folder / acceptance.measured, tests, plan.permissible_errors)
-        return evaluated_result(errors, acceptance, remaining=len(tests) - len(errors))
-    calibration = None if acceptance.calibration is None else _load_calibration(folder / acceptance.calibration)
-    built = built if calibration is None else calibration.construction
-    prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
+        return evaluated_result(result, acceptance_settings, recording=recording)
+    tests = acceptance_settings.make_tests(folder)
+    limits_si = limits.to_instrument(acceptance_settings.construction)
+    model = construction_of_design(acceptance_settings.construction)
+    if acceptance_settings.measured is not None:
+        plan = AcceptancePlan(tests, model, limits, limits_si.noise)
+        errors = read_measured(folder / acceptance_settings.measured, tests, plan.permissible_errors)
+        return evaluated_result(errors, acceptance_settings, n_unmeasured_tests=len(tests) - len(errors))
+    calibration = (
+        None if acceptance_settings.calibration is None else _load_calibration(folder / acceptance_settings.calibration)
+    )
+    model = model if calibration is None else calibration.construction
+    prior = np.array([p.sigma_from(limits_si.prior) for p in model.parameters])
     if calibration is None:
-        mean, covariance = np.zeros(built.n_parameters), np.diag(prior**2)
+        mean, covariance = np.zeros(model.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
         mean, covariance = calibration.estimates[0], calibration.covariance
         of = "the instrument without calibration"
-        if acceptance.corrected:
+        if acceptance_settings.corrected:
             mean, of = mean - calibration.applied_values[0], "the corrected instrument"
-    plan = AcceptancePlan(tests, built, limits, nominal.noise)
-    outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
-    return predicted_result(plan, outcome, prior, acceptance, instrument_text=of)
+    plan = AcceptancePlan(tests, model, limits, limits_si.noise)
+    outcome = plan.predict(mean, covariance, trials=acceptance_settings.trials, seed=acceptance_settings.seed)
+    return predicted_result(plan, outcome, prior, acceptance_settings, instrument_description=of)
 
 
 def _load_calibration(path: Path) -> Calibration:
@@ -102,10 +104,16 @@ MIN_UNCERTAINTY_RATIO = 4.0
 """Smallest ratio of limit to expanded uncertainty for simple acceptance of an error (ASME B89.7.3.1)."""
 
 
-def make_test_entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
-    """Entry of an error with its limit [m]; `expanded` is its uncertainty (95 %), NaN if not given."""
-    sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
-    return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
+def make_test_entry(
+    test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
+) -> TestEntry:
+    """Entry of an error with its limit [m]; `expanded_uncertainty` is its uncertainty (95 %), NaN if not given."""
+    sizes = {
+        "error_um": error / MICROMETRE,
+        "limit_um": limit / MICROMETRE,
+        "expanded_um": expanded_uncertainty / MICROMETRE,
+    }
+    return TestEntry(name=test_name, group=test_group, passes=float(abs(error) <= limit), **sizes)
 
 
 @as_setup_error()
@@ -137,7 +145,7 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
     return list(entries.values())
 
 
-def network_test_entries(recording: Recording, specification: Specification) -> list[TestEntry]:
+def network_test_entries(recording: Recording, instrument_specification: Specification) -> list[TestEntry]:
     """Errors of lengths measured by each station, relative to the adjusted network, and differences between faces.
 
     The network is adjusted together with the instrument's constants, so that its lengths do not contain their errors.
@@ -152,17 +160,17 @@ def network_test_entries(recording: Recording, specification: Specification) -> 
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
+    is_complete = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
-            _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
+            _mean_points(recording, is_complete & (recording.station == s) & (recording.face == f)) for f in (1, 2)
         )
-        errors += _length_entries(station, adjustment, front or back, specification)
+        errors += _length_entries(station, adjustment, front or back, instrument_specification)
         both = sorted(front.keys() & back.keys())
         for t in both:
             error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
-            limit = float(specification.two_face_limits(front[t][None])[0])
+            limit = float(instrument_specification.two_face_limits(front[t][None])[0])
             errors.append(make_test_entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
     if not errors:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
@@ -177,31 +185,33 @@ def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
 
 
 def _length_entries(
-    station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
+    station: str, adjusted: Adjustment, mean_point_by_target: dict[int, Floats], instrument_specification: Specification
 ) -> list[TestEntry]:
     """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
     names, points = adjusted.recording.targets, adjusted.state.target_points
-    placed = [
-        t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
+    target_indices = [
+        t
+        for t in sorted(mean_point_by_target)
+        if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
     ]
-    pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(list(combinations(target_indices, 2)), dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return []
-    first, second = (np.array([mean_points[int(t)] for t in ends]) for ends in pairs.T)
+    first, second = (np.array([mean_point_by_target[int(t)] for t in ends]) for ends in pairs.T)
     way = points[pairs[:, 1]] - points[pairs[:, 0]]
     length = np.linalg.norm(way, axis=1)
     direction = way / length[:, None]
-    expanded = 2 * np.sqrt(_length_variance(adjusted, placed, pairs, direction))
+    uncertainties = 2 * np.sqrt(_length_variance(adjusted, target_indices, pairs, direction))
     error = np.linalg.norm(second - first, axis=1) - length
-    limit = specification.length_limits(first, second)
-    named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
+    limit = instrument_specification.length_limits(first, second)
+    entry_names = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
     return [
         make_test_entry(name, f"lengths from {station}", float(e), float(m), float(u))
-        for name, e, m, u in zip(named, error, limit, expanded, strict=True)
+        for name, e, m, u in zip(entry_names, error, limit, uncertainties, strict=True)
     ]
 
 
-def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
+def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, unit_directions: Floats) -> Floats:
     """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of adjusted targets.
 
     The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
@@ -211,43 +221,45 @@ def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, d
     columns = unknowns.target_columns[points].ravel()
     unit = np.zeros((unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    joint = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    covariance = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
     a, b = np.searchsorted(points, pairs).T
-    both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
-    return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
+    pair_covariance = covariance[a, :, a] + covariance[b, :, b] - covariance[a, :, b] - covariance[b, :, a]
+    return np.asarray(np.einsum("ki,kij,kj->k", unit_directions, pair_covariance, unit_directions))
 
 
 def evaluated_result(
-    tests: Sequence[TestEntry],
-    acceptance: AcceptanceSettings,
+    test_entries: Sequence[TestEntry],
+    acceptance_settings: AcceptanceSettings,
     *,
-    remaining: int = 0,
+    n_unmeasured_tests: int = 0,
     recording: Recording | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors; `remaining` is the number of tests without one."""
-    groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
-    failed = sorted((t for t in tests if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
-    blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in tests)
-    sentence = f"all {len(tests)} errors are within their limits"
-    if failed:
-        w = failed[0]
+    """Result for measured errors; `n_unmeasured_tests` is the number of tests without one."""
+    groups = {t.group: float(all(o.passes for o in test_entries if o.group == t.group)) for t in test_entries}
+    failed_items = sorted(
+        (t for t in test_entries if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6)
+    )
+    blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in test_entries)
+    sentence = f"all {len(test_entries)} errors are within their limits"
+    if failed_items:
+        w = failed_items[0]
         sentence = (
-            f"{len(failed)} of {len(tests)} errors are over their limits; the worst is {w.name}: "
+            f"{len(failed_items)} of {len(test_entries)} errors are over their limits; the worst is {w.name}: "
             f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
         )
-    if remaining:
-        sentence += f"; {remaining} tests of the plan were not measured"
+    if n_unmeasured_tests:
+        sentence += f"; {n_unmeasured_tests} tests of the plan were not measured"
     if blunt:
         sentence += f"; for {blunt} the uncertainty exceeds a quarter of the limit, too much for a decision"
     content = AcceptanceFile(
-        title=acceptance.title,
+        title=acceptance_settings.title,
         kind="measured" if recording is None else "network",
-        plan=acceptance.plan_name if recording is None else "own network",
-        specification=acceptance.limits,
-        passes=float(not failed and not remaining),
+        plan=acceptance_settings.plan_name if recording is None else "own network",
+        specification=acceptance_settings.limits,
+        passes=float(not failed_items and not n_unmeasured_tests),
         sentence=sentence,
-        groups=group_entries(tests, groups, predicted=False),
-        tests=tuple(tests),
+        groups=group_entries(test_entries, groups, is_predicted=False),
+        tests=tuple(test_entries),
     )
     return (
         content

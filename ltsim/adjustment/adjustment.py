@@ -81,7 +81,7 @@ class Adjustment(Result):
     duplicate_rows: int = 0
     """Number of rows that repeat others in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on the simple causes that were identified and are in the model."""
+    """Sentences on the identified simple causes, with which the network is consistent."""
     datum: InnerDatum | None = None
     """Datum of the covariances; None for that of the factor (pose of the first station)."""
 
@@ -122,9 +122,9 @@ class Adjustment(Result):
         if len(state.extra_parameters) != model.n_extra_parameters:
             state = replace(state, extra_parameters=np.zeros(model.n_extra_parameters))
         problem = drop_undetermined(NetworkProblem.from_model(model, prior=prior), state)
-        lost = pose_defect(problem, state)
-        if lost:
-            raise NetworkError(lost)
+        defect = pose_defect(problem, state)
+        if defect:
+            raise NetworkError(defect)
         try:
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
@@ -268,7 +268,7 @@ class Adjustment(Result):
         return whole.used_readings & ~self.problem.used_readings
 
     def flagged_readings(
-        self, level: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
+        self, alpha: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
         """Readings whose residuals are too large for chance, in a test over the whole recording.
 
@@ -287,11 +287,11 @@ class Adjustment(Result):
             for rows_of_group in (group == number for number in np.unique(group)):
                 dof[rows_of_group] = np.nansum(self.redundancy[rows_of_group])
                 scale[rows_of_group] = np.linalg.norm(whitened[rows_of_group]) / np.sqrt(dof[rows_of_group])
-        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.normalised_residuals)) / scale, dof, count) < level)
+        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.normalised_residuals)) / scale, dof, count) < alpha)
         rows, columns = np.nonzero(flagged)
         unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
         block = self._redundancy_block(rows, columns)
-        outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, level)
+        outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, alpha)
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
@@ -377,13 +377,13 @@ class Adjustment(Result):
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
-    def with_effects(self, effects: Sequence[Signature], start: NetworkState) -> Adjustment:
+    def with_effects(self, effects: Sequence[Signature], start_state: NetworkState) -> Adjustment:
         """Adjustment with other additional effects, and with equal readings, weights and datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
         problem = replace(new, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
-        solution = solve(problem, replace(start, extra_parameters=np.zeros(model.n_extra_parameters)))
+        solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def with_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:

@@ -50,18 +50,20 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
     Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
     (mirrored, other scale), and if known points define the frame already.
     """
-    common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
+    common_names = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
-    if len(common) < 3:
-        message = f"contains {len(common)} of the recording's targets, expected at least three that are not on one line"
+    if len(common_names) < 3:
+        message = (
+            f"contains {len(common_names)} of the recording's targets, expected at least three that are not on one line"
+        )
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
-    here = reached[[recording.targets.index(name) for name in common]]
-    there = np.array([points[name] for name in common])
-    _require_network_shape(here, there, source)
+    network_points = reached[[recording.targets.index(name) for name in common_names]]
+    declared_points = np.array([points[name] for name in common_names])
+    _require_network_shape(network_points, declared_points, source)
     if recording.setup.curved:
-        recording = _with_plumb_lines(recording, common, there)
-    return _with_datum(recording, {name: points[name] for name in common}, source=source)
+        recording = _with_plumb_lines(recording, common_names, declared_points)
+    return _with_datum(recording, {name: points[name] for name in common_names}, source=source)
 
 
 def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
@@ -69,12 +71,12 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
 
     The residuals of the coordinates determine both; None if the scale is not significant.
     """
-    used = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
-    if len(used) < MIN_SCALED_TARGETS:
+    used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
+    if len(used_tests) < MIN_SCALED_TARGETS:
         return None
-    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
     column = (places - places.mean(axis=0)).ravel()
-    residuals = np.array([test.residual for test in used])
+    residuals = np.array([test.residual for test in used_tests])
     residual = (residuals - residuals.mean(axis=0)).ravel()
     scale = float(column @ residual / (column @ column))
     dof = residual.size - 7  # six motions and the scale
@@ -91,11 +93,11 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     The axes of the coordinates may be anywhere on the sphere, so that plumb lines do not determine them; the adjusted
     network, aligned to the points, gives the plumb lines in these axes.
     """
-    adjusted = adjust(recording)
-    at = np.array([recording.targets.index(name) for name in names])
-    determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = align_robustly(adjusted.state.target_points[at[determined]], declared_points[determined])
-    lines = plumb_directions(adjusted.recording) @ turn.T
+    adjustment = adjust(recording)
+    indices = np.array([recording.targets.index(name) for name in names])
+    is_determined = ~np.isin(np.array(names), adjustment.undetermined_targets)
+    turn, _ = align_robustly(adjustment.state.target_points[indices[is_determined]], declared_points[is_determined])
+    lines = plumb_directions(adjustment.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
         station = recording.station_setup(name)
@@ -122,15 +124,15 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
     a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
-    ahead = float(across @ along) / length if length else 0.0
-    aside = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
-    if aside < 1e-3 * max(length, 1e-3):
+    cosine = float(across @ along) / length if length else 0.0
+    sine = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
+    if sine < 1e-3 * max(length, 1e-3):
         raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three that do not")
-    places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
-    held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
-    framed = _with_datum(recording, places, held)
+    places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([cosine, sine, 0.0])}
+    datum_axes: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
+    aligned = _with_datum(recording, places, datum_axes)
     note = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
-    return framed.replace(notes=(*framed.notes, note))
+    return aligned.replace(notes=(*aligned.notes, note))
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
@@ -140,7 +142,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
-    listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
+    listed, targets, count = read_points(path, requires_all=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
         listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
     ):
@@ -196,8 +198,8 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
     if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
-    why = "they are left-handed" if is_mirrored else "check the hall and the names"
-    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
+    reason = "they are left-handed" if is_mirrored else "check the hall and the names"
+    message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
     raise RecordError(message, file=source)
 
 

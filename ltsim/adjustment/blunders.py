@@ -81,10 +81,10 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
     """Points (k, 3) of targets in the network frame, from readings (k, 3) that replace those of the rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
-    turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
-    placed: Floats = turned + adjustment.state.station_positions[station]
+    rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
+    network_points: Floats = rotated + adjustment.state.station_positions[station]
     lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
-    return placed if lift is None else placed - lift[rows]
+    return network_points if lift is None else network_points - lift[rows]
 
 
 def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
@@ -96,20 +96,22 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
     recording, points = adjustment.recording, adjustment.state.target_points
-    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
-    if not len(at):
+    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    if not len(indices):
         return
-    gaps = np.linalg.norm(_points_from_readings(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
-    nearest = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(at)), nearest] < MAX_CORRECTED_DISTANCE
+    gaps = np.linalg.norm(
+        _points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
+    )
+    nearest_targets = np.argmin(gaps, axis=1)
+    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_CORRECTED_DISTANCE
     pairs: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero(lands & (nearest != recording.target[at])):
-        a, b = sorted((int(recording.target[at[i]]), int(nearest[i])))
-        pairs.setdefault((int(recording.station[at[i]]), a, b), []).append(int(i))
+    for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
+        a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
+        pairs.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
     for (s, a, b), members in pairs.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
-        booked = sorted(set(recording.target[at[members]].tolist()))
+        booked = sorted(set(recording.target[indices[members]].tolist()))
         if len(booked) == 2:
             sentence = (
                 f"At station {station} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
@@ -117,53 +119,53 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
-        finding = IdentifiedBlunder("target-swap", at[members], (station,), names, (), gap, sentence)
-        yield finding, recording.readings[at[members]], nearest[members]
+        finding = IdentifiedBlunder("target-swap", indices[members], (station,), names, (), gap, sentence)
+        yield finding, recording.readings[indices[members]], nearest_targets[members]
 
 
 def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
     """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
-    at = np.flatnonzero(rows & recording.is_measured.all(axis=1))
-    if not len(at):
+    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    if not len(indices):
         return
-    off = (
-        _points_from_readings(adjustment, recording.readings[at], at)
-        - adjustment.state.target_points[recording.target[at]]
+    deviations = (
+        _points_from_readings(adjustment, recording.readings[indices], indices)
+        - adjustment.state.target_points[recording.target[indices]]
     )
-    up = plumb_directions(recording)[recording.station[at]]
-    high = np.einsum("ni,ni->n", off, up)
-    aside = np.linalg.norm(off - high[:, None] * up, axis=1)
-    is_vertical = aside < np.minimum(
-        np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(high)),
-        adjustment.sightings.range_[at],
+    plumb_lines = plumb_directions(recording)[recording.station[indices]]
+    vertical_parts = np.einsum("ni,ni->n", deviations, plumb_lines)
+    horizontal_parts = np.linalg.norm(deviations - vertical_parts[:, None] * plumb_lines, axis=1)
+    is_vertical = horizontal_parts < np.minimum(
+        np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(vertical_parts)),
+        adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
-    lift[at] = high[:, None] * up
-    corrected = recording.readings - exact_target_change(adjustment.sightings, lift)
+    lift[indices] = vertical_parts[:, None] * plumb_lines
+    new_readings = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(high) > MAX_CORRECTED_DISTANCE) & is_vertical):
+    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_CORRECTED_DISTANCE) & is_vertical):
         key = (
-            int(recording.station[at[i]]),
-            int(recording.target[at[i]]),
-            round(high[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
+            int(recording.station[indices[i]]),
+            int(recording.target[indices[i]]),
+            round(vertical_parts[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
         )
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
-        station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
-        numbers = ", ".join(str(at[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+        station, target, size = recording.stations[s], recording.targets[t], float(np.mean(vertical_parts[members]))
+        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
             f"{where} the target: the height of the target or the instrument is wrong."
         )
-        rows_ = at[members]
+        rows_ = indices[members]
         finding = IdentifiedBlunder("outlier", rows_, (station,), (target,), (), abs(size), sentence)
-        yield finding, corrected[rows_], recording.target[rows_]
+        yield finding, new_readings[rows_], recording.target[rows_]
 
 
 def _unit_and_face_errors(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
@@ -196,10 +198,10 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         Corrected stations, one entry each; empty if all shapes agree or no blunder explains the difference.
     """
     findings: list[IdentifiedBlunder] = []
-    odd = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
+    suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
-        return recording, _mirrored_pair(recording) if len(odd) else findings
-    for s in odd.tolist():
+        return recording, _mirrored_pair(recording) if len(suspects) else findings
+    for s in suspects.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.blunders_at_station(name):
             readings = recording.readings.copy()
@@ -238,10 +240,10 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     findings : list of GrossFinding
         Corrected stations, one entry each.
     """
-    shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
-    wrong = recording.usable[:, 2] & (shown != recording.face)
-    back = recording.face == 2
-    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
+    apparent_faces = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
+    wrong = recording.usable[:, 2] & (apparent_faces != recording.face)
+    is_back_face = recording.face == 2
+    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (is_back_face, ~is_back_face)):
         return recording, []
     findings = []
     for s in np.unique(recording.station[wrong]):
@@ -255,7 +257,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         )
         observables = ("azimuth", "elevation")
         findings.append(IdentifiedBlunder("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
-    return recording.replace(face=np.where(wrong, shown, recording.face)), findings
+    return recording.replace(face=np.where(wrong, apparent_faces, recording.face)), findings
 
 
 def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
@@ -277,6 +279,6 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
         except NetworkError:
             continue
     is_compared = np.isfinite(gaps).any(axis=1)
-    middle = np.zeros(count)
-    middle[is_compared] = np.nanmedian(gaps[is_compared], axis=1)
-    return middle
+    median_misfits = np.zeros(count)
+    median_misfits[is_compared] = np.nanmedian(gaps[is_compared], axis=1)
+    return median_misfits

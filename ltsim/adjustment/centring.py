@@ -17,13 +17,10 @@ from ltsim.adjustment.significance import GLOBAL_LEVEL, SINGLE_LEVEL
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.occupations import days_of_pointings
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
-DAY_COLUMN = "date"
-"""Column of a recording with the day of each pointing."""
-DAY_LENGTH_S = 86_400.0
-"""Length [s] of a day."""
 MAX_CENTRING_ERRORS = 6
 """Largest number of estimated centring errors: a network with more has to be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
@@ -75,17 +72,17 @@ class CentringErrors:
     @property
     def descriptions(self) -> list[str]:
         """Descriptions of the centring errors: mark, role, day, size and components."""
-        named = []
+        names = []
         for occupation, value, (size, sigma) in zip(self.occupations, self.shifts, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             size_text = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
-            named.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
-        return named
+            names.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
+        return names
 
     @property
     def sentence(self) -> str:
         """Sentence on all centring errors and their effect on the global test."""
-        counted = (
+        suffix = (
             f" (readings to {', '.join(self.noisy_targets)} weighted by their observed noise)"
             if self.noisy_targets
             else ""
@@ -96,17 +93,8 @@ class CentringErrors:
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
-            f"with them in the model chi2/dof falls from {before} to {after}{counted}"
+            f"with them in the model chi2/dof falls from {before} to {after}{suffix}"
         )
-
-
-def days_of_pointings(recording: Recording) -> tuple[str, ...]:
-    """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
-    if DAY_COLUMN in recording.labels:
-        return recording.labels[DAY_COLUMN]
-    if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
-        return ()
-    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
 
 
 def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:
@@ -144,29 +132,29 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
-    ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
+    height_sigma = max((heads.sigma for heads in model.head_heights), default=0.0)
     moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
-    chosen: list[int] = []
-    while len(chosen) < min(MAX_CENTRING_ERRORS, len(candidates)):
-        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in chosen}
+    occupations: list[int] = []
+    while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
+        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
-        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < ordinary:
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
             break
         space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
-        chosen.append(best)
-    if not chosen:
+        occupations.append(best)
+    if not occupations:
         return None
-    columns = whole.project(np.hstack([shifts[i] for i in chosen]))
+    columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
     values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
-    number = range(len(chosen))
+    number = range(len(occupations))
     spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
-    return CentringErrors(adjustment, tuple(candidates[i] for i in chosen), values, spread, chi2, dof, noisy)
+    return CentringErrors(adjustment, tuple(candidates[i] for i in occupations), values, spread, chi2, dof, noisy)
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
@@ -204,6 +192,6 @@ def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
     named, noisy_scatter, rest = adjustment.noisy_targets
     if not len(named):
         return adjustment
-    larger = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
-    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * larger[:, None])
+    factors = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
+    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * factors[:, None])
     return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))

@@ -66,13 +66,13 @@ class DatumPoints:
 def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
     """Names of the measured points that the set-up selects for the datum."""
     recording = problem.model.recording
-    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.mark_names)])
-    return tuple(name for name in reached if recording.target_setup(name).datum)
+    valid_names = dict.fromkeys([*recording.targets, *filter(None, problem.marks.mark_names)])
+    return tuple(name for name in valid_names if recording.target_setup(name).datum)
 
 
 def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
     """State moved rigidly to the declared coordinates of the datum points, with the rotation angle [rad] and scale."""
-    turned = 0.0
+    rotation_angle = 0.0
     for _ in range(MAX_DATUM_STEPS):
         tied = DatumPoints.from_names(problem, state, names)
         has_goal = np.isfinite(tied.approximate_points)
@@ -98,10 +98,10 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
             target_points=points,
         )
         moved = float(np.linalg.norm([*turn, *more]))
-        turned += moved
+        rotation_angle += moved
         if moved < 1e-12:
             break
-    return state, turned
+    return state, rotation_angle
 
 
 @dataclass(frozen=True)
@@ -133,14 +133,14 @@ class InnerDatum:
 
         Raises ModelError if these unknowns do not fix the motions.
         """
-        held = np.zeros_like(motion)
-        held[columns.ravel()] = motion[columns.ravel()]
-        square = held.T @ motion
+        constraints = np.zeros_like(motion)
+        constraints[columns.ravel()] = motion[columns.ravel()]
+        square = constraints.T @ motion
         if not np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
             raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
-        back = np.linalg.inv(square)
-        response = multiply_covariance(held)
-        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
+        inverse = np.linalg.inv(square)
+        response = multiply_covariance(constraints)
+        return cls(motion, response @ inverse.T, inverse @ (constraints.T @ response) @ inverse.T)
 
     @classmethod
     def from_points(
@@ -171,9 +171,9 @@ class InnerDatum:
     def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
         """Covariances (c, k, k) of sets of unknowns (c, k), transformed to this datum."""
         motion, carried = self.free_motions[columns], self.transformation[columns]
-        across = motion @ np.swapaxes(carried, 1, 2)
-        middle = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
-        return np.asarray(covariance - across - np.swapaxes(across, 1, 2) + middle)
+        cross_covariance = motion @ np.swapaxes(carried, 1, 2)
+        motion_part = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
+        return np.asarray(covariance - cross_covariance - np.swapaxes(cross_covariance, 1, 2) + motion_part)
 
 
 def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:

@@ -54,7 +54,7 @@ def adjust(
     effects: Sequence[Signature] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
-    start: NetworkState | None = None,
+    start_state: NetworkState | None = None,
     datum: Sequence[str] | None = None,
     robust: bool = False,
     variance_components: NoiseGrouping | None = None,
@@ -75,7 +75,7 @@ def adjust(
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
-    start : NetworkState, optional
+    start_state : NetworkState, optional
         State from which the adjustment starts; default from the recording alone. With a start no pointing is screened
         out.
     datum : sequence of str, optional
@@ -90,7 +90,7 @@ def adjust(
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
     tested_kinds : collection of str
-        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
+        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start_state` none is.
 
     Returns
     -------
@@ -114,36 +114,37 @@ def adjust(
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
     _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
-    searched = start is None
-    if start is None:
+    needs_start = start_state is None
+    if start_state is None:
         _, network, gross, lost = screen_gross_errors(recording)
         gross &= ~_is_over_wrong_mark(recording, gross)
         parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
-        start = NetworkState(*network, parameters)
-    recording = with_plumb_lines(recording, start.station_positions)
+        start_state = NetworkState(*network, parameters)
+    recording = with_plumb_lines(recording, start_state.station_positions)
     model = MeasurementModel(recording, built, tuple(effects))
-    if len(start.extra_parameters) != model.n_extra_parameters:
-        start = replace(start, extra_parameters=np.zeros(model.n_extra_parameters))
+    if len(start_state.extra_parameters) != model.n_extra_parameters:
+        start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    chosen = keep if reading_mask is None else keep & reading_mask
+    mask = keep if reading_mask is None else keep & reading_mask
     find = snoop_readings if robust else _solve
     whole = NetworkProblem.from_model(
-        model, sigma=sigma, reading_mask=chosen, effect_prior_sigma=effect_prior_sigma, prior=prior
+        model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
     )
     _require_fixed_smr_offsets(whole)
-    start = replace(
-        start, station_positions=whole.marks.positions_on_marks(start.station_positions, start.target_points)
+    start_state = replace(
+        start_state,
+        station_positions=whole.marks.positions_on_marks(start_state.station_positions, start_state.target_points),
     )
-    whole = drop_undetermined(whole, start)
+    whole = drop_undetermined(whole, start_state)
     wrong: tuple[ReferenceTest, ...] = ()
-    if searched and not (robust and whole.has_no_references):
+    if needs_start and not (robust and whole.has_no_references):
         sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = snoop_references(sound, solve(sound, start), tested_kinds)
+        problem, solution, wrong = snoop_references(sound, solve(sound, start_state), tested_kinds)
         model = problem.model
     if wrong and robust:
-        whole, start = whole.with_model(model), solution.x
-    if robust or not searched:
-        problem, solution = find(whole, start)
+        whole, start_state = whole.with_model(model), solution.x
+    if robust or not needs_start:
+        problem, solution = find(whole, start_state)
     components: tuple[VarianceComponent, ...] = ()
     if variance_components is not None:
         problem, solution, components = estimate_variance_components(
@@ -174,26 +175,26 @@ def _require_unoccupied_targets(recording: Recording) -> None:
 def _is_over_wrong_mark(recording: Recording, gross: Bools) -> Bools:
     """Flags (n,) of the pointings of set-ups over marks with mostly gross errors: their mark or height may be wrong."""
     count = len(recording.stations)
-    over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
+    has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
-    return np.asarray((over & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
+    return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 
 def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
-    off = smr_radius_offsets(problem.model.recording)
-    if off is None:
+    offsets = smr_radius_offsets(problem.model.recording)
+    if offsets is None:
         return
-    turned = np.cross(problem.free_motions[3:].T[:, None], off[None])
-    if np.any(np.abs(turned) > MAX_SIDEWAYS_MOTION * np.abs(off).max()):
+    rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
+    if np.any(np.abs(rotated) > MAX_SIDEWAYS_MOTION * np.abs(offsets).max()):
         raise NetworkError(
             "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
             "normals: declare three known points (known_mm), or levels where all such normals are vertical"
         )
 
 
-def _solve(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
-    return problem, solve(problem, start)
+def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+    return problem, solve(problem, start_state)
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
@@ -221,8 +222,8 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if turned > MAX_DATUM_ROTATION:  # The factor belongs to the frame it was computed in.
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
-    tied = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
-    return replace(adjustment, solution=solution, datum=tied)
+    datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
+    return replace(adjustment, solution=solution, datum=datum)
 
 
 MIN_GROSS_MISCLOSURE = 2e-3
@@ -243,13 +244,15 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     determine the axes, it remains for the part that they do not check.
     """
     recording = adjustment.recording
-    declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
-    here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
-    off = alignment_distances(here, declared, align_robustly(here, declared))
-    use = off <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
+    declared_points = (
+        np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
+    )
+    adjusted_points = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
+    deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
+    use = deviations <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(deviations)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
-        tests = _axes_tests(adjustment, names, declared, use)
+        tests = _axes_tests(adjustment, names, declared_points, use)
         ratio = np.array([test.normalised_error / test.critical_value for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
@@ -259,11 +262,11 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
             break
         if use[k] and use.sum() <= MIN_AXIS_POINTS:
             tests[k] = replace(tests[k], is_excluded=True)
-            declared[k] -= tests[k].error
+            declared_points[k] -= tests[k].error
             break
         use = use ^ (np.arange(len(names)) == k)
     targets = dict(recording.setup.targets)
-    for name, used, place in zip(names, use, declared / MILLIMETRE, strict=True):
+    for name, used, place in zip(names, use, declared_points / MILLIMETRE, strict=True):
         targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
 
@@ -273,55 +276,63 @@ def _axes_tests(
 ) -> list[ReferenceTest]:
     """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
-    adjusted = adjustment.with_inner_datum(chosen)
-    at = [adjusted.recording.targets.index(name) for name in names]
-    state, _ = move_to_datum(adjusted.problem, adjusted.state, chosen)
-    turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
-    covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared_points - state.target_points[at], state.target_points[at]
+    datum_adjustment = adjustment.with_inner_datum(chosen)
+    indices = [datum_adjustment.recording.targets.index(name) for name in names]
+    state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
+    turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
+    covariance = turn @ datum_adjustment.target_covariance[indices] @ turn.T
+    gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
-    free = motions_about_centre(adjusted.problem.free_motions, centre)
-    motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])
-    carried = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
-    held = carried @ np.swapaxes(carried, 1, 2)
+    motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)
+    motion = (rigid_motion_design(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
+    leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
+    hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
-    rest = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
+    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
     return [
-        _axis_point_test(name, gap[k], covariance[k], held[k], used=bool(used_mask[k]), rest=rest)
+        _axis_point_test(
+            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), tested_axis=test_values
+        )
         for k, name in enumerate(names)
     ]
 
 
 def _axis_point_test(
-    name: str, misclosure: Floats, covariance: Floats, axes_share: Floats, *, used: bool, rest: tuple[float, int, float]
+    name: str,
+    misclosure: Floats,
+    covariance: Floats,
+    axes_share: Floats,
+    *,
+    is_used: bool,
+    tested_axis: tuple[float, int, float],
 ) -> ReferenceTest:
     """Test of a point with misclosure `misclosure` (3,) and `covariance` (3, 3); `axes_share` is its share in the axes.
 
     With R = 1 - `axes_share`, the residual of a point in use is R times its error; that of another point is its full
     error.
     """
-    share, turned = np.linalg.eigh(np.eye(3) - axes_share if used else np.eye(3) + axes_share)
+    share, turned = np.linalg.eigh(np.eye(3) - axes_share if is_used else np.eye(3) + axes_share)
     is_checked = share > MIN_NUMERICAL_REDUNDANCY
     turned, share = turned[:, is_checked], share[is_checked]
-    shown = share if used else np.ones(len(share))
-    square, dof, level = rest
-    error = turned.T @ misclosure / shown
-    if used:
+    redundancy = share if is_used else np.ones(len(share))
+    square, dof, level = tested_axis
+    error = turned.T @ misclosure / redundancy
+    if is_used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
-    scatter = max(square, 0.0) / max(dof, 1)
-    network = (turned.T @ covariance @ turned) / np.outer(shown, shown)
-    spread = network + np.diag(scatter / share if used else scatter * share)
+    variance_factor = max(square, 0.0) / max(dof, 1)
+    network = (turned.T @ covariance @ turned) / np.outer(redundancy, redundancy)
+    spread = network + np.diag(variance_factor / share if is_used else variance_factor * share)
     limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
     return ReferenceTest(
         kind="axes",
         name=name,
         declared_components="xyz",
-        sigma=np.sqrt(np.diag(covariance) + scatter),
+        sigma=np.sqrt(np.diag(covariance) + variance_factor),
         residual=misclosure,
         error=turned @ error,
         sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
         chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
-        is_excluded=not used,
+        is_excluded=not is_used,
         critical_value=max(MAX_NORMALISED_ERROR, float(np.sqrt(limit))),
     )

@@ -47,7 +47,7 @@ unknowns.
 
 
 def fit_pose(
-    sight: FitReadings, points: Floats, *, level: bool = False, position: Floats | None = None
+    sight: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) and rotation (3, 3) of a station that measured known points (k, 3); None if it is not unique.
 
@@ -55,7 +55,7 @@ def fit_pose(
     ----------
     sight, points
         Readings, and the points that they belong to.
-    level : bool
+    is_levelled : bool
         True if the standing axis is vertical in the network.
     position : (3,) float, optional, [m]
         Position of the station, if known.
@@ -63,25 +63,25 @@ def fit_pose(
     rows, sight = sight.thin_rows()
     points = points[rows] + sight.reflector_offsets
     azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
-    tilted = not level and (azimuth or elevation)
+    is_tilted = not is_levelled and (azimuth or elevation)
     slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
-    high = position is None and (slope or elevation or not level)
-    free = np.array([position is None] * 2 + [high] + [tilted] * 2 + [azimuth])
-    if sight.n_readings < free.sum():
+    height_free = position is None and (slope or elevation or not is_levelled)
+    is_free = np.array([position is None] * 2 + [height_free] + [is_tilted] * 2 + [azimuth])
+    if sight.n_readings < is_free.sum():
         return None
     places = _candidate_positions(points) if position is None else position[None]
-    turns = _candidate_rotations(not tilted) if azimuth or tilted else np.eye(3)[None]
-    places = places if high or position is not None else places[:-2]
+    turns = _candidate_rotations(not is_tilted) if azimuth or is_tilted else np.eye(3)[None]
+    places = places if height_free or position is not None else places[:-2]
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
         arm = points[None] - x[:, None]
         gap, by_local = sight.residuals(arm @ rotation)
         turned = by_local @ np.swapaxes(rotation, 1, 2)
         by_turn = (turned.reshape(len(x), -1, 3, 3) @ cross_matrix(arm)).reshape(len(x), -1, 3)
-        return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, free]
+        return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, is_free]
 
     starts = np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1))
-    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, free, *starts))
+    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, is_free, *starts))
 
 
 def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
@@ -98,9 +98,11 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
         return gap, by.reshape(len(x), -1, 3)
 
     starts = _start_points(sight.readings, lifted, rotation)
-    free = np.arange(6) < 3
+    is_free = np.arange(6) < 3
     pose = _unique_solution(
-        sight.n_readings, lifted, _iterate_best_starts(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1)))
+        sight.n_readings,
+        lifted,
+        _iterate_best_starts(evaluate, is_free, starts, np.tile(np.eye(3), (len(starts), 1, 1))),
     )
     return None if pose is None else pose[0]
 
@@ -113,9 +115,9 @@ def _unique_solution(
     if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
         return None
     distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(centre - x[0]).max())
-    other = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
-    clear = not len(other) or float(other[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
-    return (x[0], rotation[0]) if clear else None
+    other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
+    is_unique = not len(other_costs) or float(other_costs[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
+    return (x[0], rotation[0]) if is_unique else None
 
 
 def _iterate_best_starts(
@@ -156,17 +158,17 @@ def _sum_of_squares(residuals: Floats) -> Floats:
     return np.nan_to_num(np.sum(residuals**2, axis=1), nan=np.inf)
 
 
-def _replace_where_better(better: Bools, new: Floats, old: Floats) -> Floats:
-    return np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floats) -> Floats:
+    return np.where(is_better.reshape(-1, *[1] * (new_values.ndim - 1)), new_values, old_values)
 
 
 def _candidate_positions(points: Floats) -> Floats:
     """Candidate positions of a station: among the points and around them."""
     centre = points.mean(axis=0)
-    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    across = reach * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
-    above = np.outer([-reach, reach], [0.0, 0.0, 1.0])
-    return np.concatenate([[centre], centre + 0.4 * across, centre + 1.5 * across, centre + above])
+    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
+    circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
+    axis_points = np.outer([-radius, radius], [0.0, 0.0, 1.0])
+    return np.concatenate([[centre], centre + 0.4 * circle, centre + 1.5 * circle, centre + axis_points])
 
 
 def _candidate_rotations(is_level: bool) -> Floats:
@@ -229,11 +231,11 @@ MIN_PLAN_SINGULAR_VALUE = 1e-6
 
 def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
     """Point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None for parallel beams."""
-    across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
-    normal = across.sum(axis=0)
+    projector = np.eye(3) - beam[:, :, None] * beam[:, None, :]
+    normal = projector.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_INTERSECTION * len(beam):
         return None
-    return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
+    return np.linalg.solve(normal, np.einsum("kij,kj->i", projector, origin))
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ class PlanLengths:
 
 
 def fit_plan(
-    setup: Ints, start: Ints, end: Ints, azimuths: Floats, control: Floats, lines: PlanLengths
+    setup: Ints, starts: Ints, ends: Ints, azimuths: Floats, control: Floats, lines: PlanLengths
 ) -> tuple[Floats, Floats, bool] | None:
     """Places (P, 2) in plan and yaws (S,) [rad] from directions and lengths, and a flag that they are in the frame.
 
@@ -255,7 +257,7 @@ def fit_plan(
 
     Parameters
     ----------
-    setup, start, end : (n,) int
+    setup, starts, ends : (n,) int
         Upright set-up of each direction, its place, and the place of its target.
     azimuths : (n,) float, [rad]
         Reading of the circle.
@@ -264,12 +266,12 @@ def fit_plan(
     lines : Lines
         Lengths are used along lines whose direction was measured from one end.
     """
-    yaw = _setup_yaws(setup, start, end, azimuths)
+    yaw = _setup_yaws(setup, starts, ends, azimuths)
     rows = np.isfinite(yaw[setup])
     bearing = (yaw[setup] + azimuths)[rows]
-    used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
+    used, at = np.unique(np.concatenate([starts[rows], ends[rows]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, length = _measured_lengths_of_directions(lines, start[rows], end[rows])
+    along, length = _measured_lengths_of_directions(lines, starts[rows], ends[rows])
     has_control = np.isfinite(control[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
@@ -286,7 +288,7 @@ def fit_plan(
     return places, yaw + float(np.angle(turned)), is_in_frame
 
 
-def _measured_lengths_of_directions(lines: PlanLengths, start: Ints, end: Ints) -> tuple[Ints, Floats]:
+def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
     """Indices (k,) of directions whose line also has a measured length, and these lengths (k,)."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
@@ -294,23 +296,23 @@ def _measured_lengths_of_directions(lines: PlanLengths, start: Ints, end: Ints) 
     ):
         lengths.setdefault((start_place, end_place), length)
         lengths.setdefault((end_place, start_place), length)
-    pairs = list(zip(start.tolist(), end.tolist(), strict=True))
+    pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
     along = np.flatnonzero([pair in lengths for pair in pairs])
     return along, np.array([lengths[pairs[i]] for i in along])
 
 
 def lines_without_length(
-    setup: Ints, start: Ints, end: Ints, azimuths: Floats, lines: PlanLengths
+    setup: Ints, starts: Ints, end_places: Ints, azimuths: Floats, lines: PlanLengths
 ) -> list[tuple[int, int]]:
     """Lines between places, by their ends, without a determined length although all set-ups are oriented.
 
     It is empty for a determined plan, or if more than one length is undetermined. Parameters as of `fit_plan`.
     """
-    yaw = _setup_yaws(setup, start, end, azimuths)
+    yaw = _setup_yaws(setup, starts, end_places, azimuths)
     rows = np.isfinite(yaw[setup])
-    used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
+    used, at = np.unique(np.concatenate([starts[rows], end_places[rows]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, _ = _measured_lengths_of_directions(lines, start[rows], end[rows])
+    along, _ = _measured_lengths_of_directions(lines, starts[rows], end_places[rows])
     _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[rows], along, len(used)))
     if (
         not len(along)
@@ -321,51 +323,54 @@ def lines_without_length(
         return []
     motion = np.concatenate([np.zeros((1, 2)), right[-1].reshape(-1, 2)])
     moves = np.linalg.norm(motion[second] - motion[first], axis=1)
-    loose = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
+    loose_indices = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
     ends = {
-        (min(pair), max(pair)) for pair in zip(used[first[loose]].tolist(), used[second[loose]].tolist(), strict=True)
+        (min(pair), max(pair))
+        for pair in zip(used[first[loose_indices]].tolist(), used[second[loose_indices]].tolist(), strict=True)
     }
     return sorted(ends)
 
 
-def _plan_design(first: Ints, second: Ints, bearing: Floats, has_length: Ints, n_places: int) -> Floats:
+def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, has_length: Ints, n_places: int) -> Floats:
     """Equations for the places except the first (x and y alternately): perpendicular to each bearing, and along some.
 
     Padded with zero rows.
     """
     design = np.zeros((len(bearing) + len(has_length), n_places, 2))
-    across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-    ahead = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
+    transverse = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
+    radial = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
     every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(has_length))
-    np.add.at(design, (every, second), across)
-    np.add.at(design, (every, first), -across)
-    np.add.at(design, (behind, second[has_length]), ahead)
-    np.add.at(design, (behind, first[has_length]), -ahead)
-    free = 2 * (n_places - 1)
-    return np.concatenate([design[:, 1:].reshape(-1, free), np.zeros((free, free))])  # a row for each column at least
+    np.add.at(design, (every, end_places), transverse)
+    np.add.at(design, (every, start_places), -transverse)
+    np.add.at(design, (behind, end_places[has_length]), radial)
+    np.add.at(design, (behind, start_places[has_length]), -radial)
+    n_coordinates = 2 * (n_places - 1)
+    return np.concatenate(
+        [design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))]
+    )  # a row for each column at least
 
 
 def _plan_shape(
-    first: Ints, second: Ints, bearing: Floats, has_length: Ints, length: Floats, n_places: int
+    start_places: Ints, end_places: Ints, bearing: Floats, has_length: Ints, length: Floats, n_places: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Places (count,) in plan as complex numbers, the first at 0; None if the shape is undetermined.
 
     Every direction gives a linear equation perpendicular to its bearing, and another one along it if its line has a
     length; without lengths the scale is arbitrary.
     """
-    design = _plan_design(first, second, bearing, has_length, n_places)
-    right = np.zeros(len(design))
-    right[len(bearing) : len(bearing) + len(has_length)] = length
+    design = _plan_design(start_places, end_places, bearing, has_length, n_places)
+    right_side = np.zeros(len(design))
+    right_side[len(bearing) : len(bearing) + len(has_length)] = length
     u, size, rows = np.linalg.svd(design, full_matrices=False)
     if size[-1 if len(has_length) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
         return None
-    plan = rows.T @ ((u.T @ right) / size) if len(has_length) else rows[-1]
+    plan = rows.T @ ((u.T @ right_side) / size) if len(has_length) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
-    forward = np.real((shape[second] - shape[first]) * np.exp(-1j * bearing))
+    forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearing))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
 
 
-def _setup_yaws(setup: Ints, start: Ints, end: Ints, azimuths: Floats) -> Floats:
+def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
     """Yaws (S,) [rad] of set-ups that are connected to the first by lines seen from both ends, or twice.
 
     It is NaN for others.
@@ -373,7 +378,7 @@ def _setup_yaws(setup: Ints, start: Ints, end: Ints, azimuths: Floats) -> Floats
     yaw = np.full(setup.max() + 1, np.nan)
     yaw[setup[0]] = 0.0
     bearings: dict[tuple[int, int], float] = {}
-    lines = list(zip(setup.tolist(), start.tolist(), end.tolist(), azimuths.tolist(), strict=True))
+    lines = list(zip(setup.tolist(), starts.tolist(), ends.tolist(), azimuths.tolist(), strict=True))
     before = -1
     while before < (before := len(bearings)):
         for s, start_place, end_place, turned in lines:

@@ -24,6 +24,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 MAX_FLOOR_PLAN_ERROR = 0.5
 """Largest distance [m] of a station from its position on a floor plan."""
 MEDIAN_BATCH_SIZE = 4096
@@ -91,8 +92,8 @@ class DeclaredFrame:
     def common_places(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Places (k, 3) of a network that the frame also declares, and the declared ones."""
         here, there = np.concatenate([position, points]), np.concatenate([self.declared_stations, self.declared_points])
-        both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-        return here[both], there[both]
+        is_common = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        return here[is_common], there[is_common]
 
     def motion_into_frame(
         self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
@@ -125,23 +126,25 @@ class DeclaredFrame:
         They follow from the approximate positions of two or more stations, or from position and yaw of one. Positions
         that differ by more than `MAX_FLOOR_PLAN_ERROR` belong to another frame and are ignored.
         """
-        planned = np.flatnonzero(np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1))
-        if len(planned) > 1:
+        planned_indices = np.flatnonzero(
+            np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
+        )
+        if len(planned_indices) > 1:
             try:
-                motion = upright_alignment(position[planned], self.plan_positions[planned])
+                motion = upright_alignment(position[planned_indices], self.plan_positions[planned_indices])
             except NetworkError:
                 return None
             return (
                 motion
-                if alignment_distances(position[planned], self.plan_positions[planned], motion).max()
+                if alignment_distances(position[planned_indices], self.plan_positions[planned_indices], motion).max()
                 < MAX_FLOOR_PLAN_ERROR
                 else None
             )
-        if not len(planned) or not np.isfinite(self.plan_yaws[planned[0]]):
+        if not len(planned_indices) or not np.isfinite(self.plan_yaws[planned_indices[0]]):
             return None
-        ahead = rotation[planned[0], :, 0]
-        turn = rotation_about_z(float(self.plan_yaws[planned[0]] - np.arctan2(ahead[1], ahead[0])))
-        return turn, self.plan_positions[planned[0]] - turn @ position[planned[0]]
+        headings = rotation[planned_indices[0], :, 0]
+        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
+        return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) that mirror a network of ranges at `network_points` (k, 3) or leave it unchanged.
@@ -202,21 +205,21 @@ class DeclaredFrame:
 
     def heading_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
-        chosen = self.has_declared_yaw & joined_stations
-        if not chosen.any():
+        mask = self.has_declared_yaw & joined_stations
+        if not mask.any():
             return None
-        ahead = rotation[chosen, :, 0]
+        headings = rotation[mask, :, 0]
         return rotation_about_z(
-            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
+            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0]))))))
         )
 
     def levelling_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
-        chosen = self.is_levelled & joined_stations
-        if not chosen.any():
+        mask = self.is_levelled & joined_stations
+        if not mask.any():
             return np.eye(3)
-        axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
-        goal = self.marks.plumb_directions[chosen].mean(axis=0)
+        axis = (rotation[mask] @ VERTICAL).mean(axis=0)
+        goal = self.marks.plumb_directions[mask].mean(axis=0)
         return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
@@ -228,10 +231,10 @@ def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
         for name, target in targets.items()
         if target.known_mm is not None and target.known_axes == "xyz"
     }
-    whole = [difference for difference in recording.setup.differences if difference.known_axes == "xyz"]
+    differences = [difference for difference in recording.setup.differences if difference.known_axes == "xyz"]
     while ends := [
         (difference, difference.to in places)
-        for difference in whole
+        for difference in differences
         if (difference.from_ in places) != (difference.to in places)
     ]:
         for difference, back in ends:
@@ -277,22 +280,22 @@ def are_collinear(points: Floats) -> bool:
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
-def alignment_distances(points: Floats, goals: Floats, motion: tuple[Floats, Floats]) -> Floats:
+def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Floats, Floats]) -> Floats:
     """Distances (k,) [m] of points (k, 3) from their goals after rotation and translation."""
-    return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goals, axis=1))
+    return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goal_points, axis=1))
 
 
-def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
+def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rotation about the vertical and translation that align points (k >= 2, 3).
 
     Raises NetworkError for points on one vertical.
     """
-    a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
+    a, b = (source - source.mean(axis=0))[:, :2], (goal_points - goal_points.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
         raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     rotation = rotation_about_z(float(yaw))
-    return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
+    return rotation, np.asarray(goal_points.mean(axis=0) - rotation @ source.mean(axis=0))
 
 
 @dataclass(frozen=True)
@@ -324,14 +327,14 @@ class StationTargetPairs:
         key = recording.station[rows] * targets + recording.target[rows]
         by_key = np.argsort(key, kind="stable")
         where, first, count = np.unique(key[by_key], return_index=True, return_counts=True)
-        middle = np.zeros((len(where), 3))
+        centres = np.zeros((len(where), 3))
         for repeats in np.unique(count):
             group = np.flatnonzero(count == repeats)
-            middle[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
+            centres[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
         station, target = np.divmod(where, max(targets, 1))
         order = np.argsort(target, kind="stable")
-        begin = np.searchsorted(station, np.arange(stations + 1))
-        return cls(station, target, middle, begin, order, np.searchsorted(target[order], np.arange(targets + 1)))
+        starts = np.searchsorted(station, np.arange(stations + 1))
+        return cls(station, target, centres, starts, order, np.searchsorted(target[order], np.arange(targets + 1)))
 
     def __len__(self) -> int:
         return len(self.station_indices)
@@ -345,8 +348,8 @@ class StationTargetPairs:
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         rows = recording.station * len(recording.targets) + recording.target
-        paired = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[paired])] = values[paired]
+        pair_rows = np.flatnonzero(np.isin(rows, keys))
+        by_pair[np.searchsorted(keys, rows[pair_rows])] = values[pair_rows]
         return by_pair
 
     def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
@@ -369,19 +372,19 @@ def _nan_median(values: Floats) -> Floats:
     """Median over the second axis of (t, k, 3) without NaN; NaN if all are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
-    ordered = np.sort(values, axis=1)
+    sorted_values = np.sort(values, axis=1)
     count = np.isfinite(values[:, :, 0]).sum(axis=1)
     at = np.arange(len(values))
-    return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])
+    return 0.5 * (sorted_values[at, (count - 1) // 2] + sorted_values[at, count // 2])
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
     """Measured points (n, 3) with horizontal distances converted to slope distances; None if there are none."""
-    flat = recording.is_horizontal
-    if not flat.any():
+    is_horizontal = recording.is_horizontal
+    if not is_horizontal.any():
         return None
     readings = recording.readings.copy()
     if not np.isfinite(readings[:, 2]).any():
-        readings[flat, 2] = 0.0  # a network in plan has no elevations
-    readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
+        readings[is_horizontal, 2] = 0.0  # a network in plan has no elevations
+    readings[is_horizontal, 0] /= np.abs(np.cos(readings[is_horizontal, 2]))
     return from_polar(readings)

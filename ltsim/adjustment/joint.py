@@ -24,8 +24,8 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     covariance = adjustment.factorised_normals.covariance_columns(unit)[columns]
     if adjustment.datum is not None:
         covariance = adjustment.datum.transform_covariance(covariance[None], columns[None])[0]
-    undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
-    covariance[undetermined] = covariance[:, undetermined] = np.nan
+    is_undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
+    covariance[is_undetermined] = covariance[:, is_undetermined] = np.nan
     return 0.5 * (covariance + covariance.T)
 
 
@@ -47,7 +47,7 @@ def covariance_csv(
         covariance = covariance + errors.T @ errors
     if added_covariance is not None:
         covariance = covariance + added_covariance
-    determined = np.isfinite(np.diag(covariance))
+    is_determined = np.isfinite(np.diag(covariance))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
-    rows = np.flatnonzero(determined)
+    rows = np.flatnonzero(is_determined)
     return covariance_text([coordinates[i] for i in rows.tolist()], covariance[np.ix_(rows, rows)])

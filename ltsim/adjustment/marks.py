@@ -50,17 +50,19 @@ class StationMarks:
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
         mark, offsets = self.mark_names[station], self.instrument_offsets
-        others = [k for k, name in enumerate(self.mark_names) if name and name == mark and k != station]
-        placed = (position[k] - offsets[k] + offsets[station] for k in others if np.isfinite(position[k, 0]))
-        return next(placed, np.full(3, np.nan))
+        other_setups = [k for k, name in enumerate(self.mark_names) if name and name == mark and k != station]
+        positions = (position[k] - offsets[k] + offsets[station] for k in other_setups if np.isfinite(position[k, 0]))
+        return next(positions, np.full(3, np.nan))
 
     def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
         """Positions (S, 3) consistent with their marks: from targets (T, 3), else from the first set-up."""
-        settled = (
+        mark_positions = (
             position[self.first_setup_on_mark]
             - self.instrument_offsets[self.first_setup_on_mark]
             + self.instrument_offsets
         )
-        over = np.flatnonzero(self.target_indices >= 0)
-        settled[over] = points[self.target_indices[over]] + self.instrument_offsets[over]
-        return settled
+        marked_indices = np.flatnonzero(self.target_indices >= 0)
+        mark_positions[marked_indices] = (
+            points[self.target_indices[marked_indices]] + self.instrument_offsets[marked_indices]
+        )
+        return mark_positions

@@ -58,8 +58,8 @@ class ParameterPrior:
         """Matrices (I, p, p) that transform deviations from the mean to standard normal variables."""
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
-        lower = np.linalg.cholesky(correlation)
-        return np.linalg.inv(lower) / sigma[:, None, :]
+        lower_factor = np.linalg.cholesky(correlation)
+        return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
     def whitened_residuals(self, values: Floats) -> Floats:
         """Whitened prior residuals (m,) of values (I, p), one per parameter with a prior."""
@@ -72,9 +72,9 @@ class ParameterPrior:
 
 def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
-    chosen = [recording.setup.instrument_named(name).prior for name in recording.instruments]
-    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
-    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.n_parameters)
+    priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
+    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
+    return np.array(rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:

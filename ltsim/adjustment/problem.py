@@ -72,23 +72,23 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
-        used = recording.usable if reading_mask is None else recording.usable & reading_mask
+        is_used = recording.usable if reading_mask is None else recording.usable & reading_mask
         gauge, control, levels = (
             GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),
-            LevelRows.from_recording(recording, used),
+            LevelRows.from_recording(recording, is_used),
         )
-        mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, used)
+        mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
         differences = DifferenceRows.from_marks(recording, marks)
-        plausible = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
-        plausible += [size for errors in model.nuisance_errors for size in errors.size_scales]
+        sizes = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
+        sizes += [size for errors in model.nuisance_errors for size in errors.size_scales]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=np.array(plausible, dtype=np.float64),
+            extra_sigma=np.array(sizes, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
-            used_readings=used,
+            used_readings=is_used,
             gauge_rows=gauge,
             control_rows=control,
             level_rows=levels,
@@ -101,9 +101,13 @@ class NetworkProblem(NetworkRows):
 
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
         """Problem with another model for the same pointings; reference values and weights are unchanged."""
-        changed = NetworkProblem.from_model(model, sigma=self.sigma, reading_mask=self.used_readings, prior=self.prior)
-        differences = changed.difference_rows.subset(np.isin(changed.difference_rows.names, self.difference_rows.names))
-        return replace(changed, extra_sigma=self.extra_sigma, difference_rows=differences)
+        new_problem = NetworkProblem.from_model(
+            model, sigma=self.sigma, reading_mask=self.used_readings, prior=self.prior
+        )
+        differences = new_problem.difference_rows.subset(
+            np.isin(new_problem.difference_rows.names, self.difference_rows.names)
+        )
+        return replace(new_problem, extra_sigma=self.extra_sigma, difference_rows=differences)
 
     def with_other_positions(self, model: MeasurementModel) -> NetworkProblem:
         """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""
@@ -119,9 +123,9 @@ class NetworkProblem(NetworkRows):
         structure, stations = self.structure, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
         stands[structure.unread_stations], heights[structure.height_free_stations] = True, True
-        gone = np.concatenate([undetermined_targets, stands])[self.difference_rows.ends].any(axis=0)
+        is_undetermined = np.concatenate([undetermined_targets, stands])[self.difference_rows.ends].any(axis=0)
         open_ = np.concatenate([structure.height_free_targets, heights])[self.difference_rows.ends].any(axis=0)
-        return np.asarray(gone | (open_ & self.difference_rows.declared_components[:, 2]))
+        return np.asarray(is_undetermined | (open_ & self.difference_rows.declared_components[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN if not measured."""
@@ -145,12 +149,12 @@ class NetworkProblem(NetworkRows):
         )
         levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.sigma[:, None]
         yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
-        held = np.zeros(self.structure.n_fixed)
+        fixed_residuals = np.zeros(self.structure.n_fixed)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
         extra = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free_motions.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
-        return np.concatenate([*references, held, prior, extra, datum])
+        return np.concatenate([*references, fixed_residuals, prior, extra, datum])
 
     def length_residuals(self, state: NetworkState) -> Floats:
         """Declared minus adjusted lengths (g,) [m]."""
@@ -162,9 +166,12 @@ class NetworkProblem(NetworkRows):
 
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
         """State after a step."""
-        at = self.unknowns
+        unknowns = self.unknowns
         return state.with_increments(
-            step[at.pose_columns], step[at.target_columns], step[at.instrument_columns], step[at.extra_columns]
+            step[unknowns.pose_columns],
+            step[unknowns.target_columns],
+            step[unknowns.instrument_columns],
+            step[unknowns.extra_columns],
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
@@ -186,11 +193,11 @@ class NetworkProblem(NetworkRows):
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
         """Design in which the rows of lengths with shared errors are transformed to independent ones."""
         first = int(self.used_readings.sum())
-        last = first + len(self.gauge_rows)
-        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first:last]))
+        end_row = first + len(self.gauge_rows)
+        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first:end_row]))
         if isinstance(design, np.ndarray):
-            return np.vstack([design[:first], lengths, design[last:]])
-        return sp.vstack([design[:first], sp.csr_array(lengths), design[last:]], format="csr")
+            return np.vstack([design[:first], lengths, design[end_row:]])
+        return sp.vstack([design[:first], sp.csr_array(lengths), design[end_row:]], format="csr")
 
     @cached_property
     def _sparsity_pattern(self) -> SparsityPattern:
@@ -206,7 +213,7 @@ class NetworkProblem(NetworkRows):
             at.instrument_columns[recording.instrument],
         )
         pointings = np.concatenate([*blocks, np.tile(at.extra_columns, (len(recording), 1))], axis=1)
-        ends = (
+        target_columns = (
             at.target_columns[gauge.first_targets],
             at.target_columns[gauge.second_targets],
             np.tile(at.extra_columns, (len(gauge), 1)),
@@ -214,7 +221,7 @@ class NetworkProblem(NetworkRows):
         anchors = at.pose_columns[self.structure.datum_stations].ravel()
         return [
             pointings[np.nonzero(self.used_readings)[0]],
-            np.concatenate(ends, axis=1),
+            np.concatenate(target_columns, axis=1),
             np.repeat(
                 at.target_columns[self.control_rows.place_indices],
                 self.control_rows.declared_components.sum(axis=1),
@@ -260,7 +267,7 @@ class NetworkProblem(NetworkRows):
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
         """Whitened derivatives (r, width) of the readings in use, computed for a batch of pointings at a time."""
-        by = [
+        derivatives = [
             prediction.pose_derivatives,
             prediction.target_derivatives,
             prediction.instrument_derivatives,
@@ -270,7 +277,7 @@ class NetworkProblem(NetworkRows):
         step = ROWS_PER_PIECE // 3
         for first in range(0, len(self.used_readings), step):
             piece = slice(first, first + step)
-            parts = [part[piece] for part in by]
+            parts = [part[piece] for part in derivatives]
             if held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
                 parts[2] = np.where(held[piece], 0.0, parts[2])
             use = self.used_readings[piece]
@@ -294,8 +301,8 @@ class NetworkProblem(NetworkRows):
         anchors = self.structure.datum_stations
         motion = self.free_motions / np.linalg.norm(self.free_motions, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
-        across = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
-        shift = motion[:3].T[:, None, :] + across
+        rotation_part = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
+        shift = motion[:3].T[:, None, :] + rotation_part
         rows = np.concatenate([shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2)
         return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
@@ -327,6 +334,8 @@ class NetworkProblem(NetworkRows):
             + self.difference_rows.n_coordinates
         )
         references += lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + priors + nuisances
-        free = self.free_motions.shape[1] - self.structure.fixes_heights
-        unknown = self.unknowns.n_columns - free - self.structure.n_fixed + self.structure.constraints_on_unseen
+        n_free_motions = self.free_motions.shape[1] - self.structure.fixes_heights
+        unknown = (
+            self.unknowns.n_columns - n_free_motions - self.structure.n_fixed + self.structure.constraints_on_unseen
+        )
         return int(self.used_readings.sum()) + references - unknown

@@ -57,13 +57,15 @@ def require_usable(adjustment: Adjustment) -> None:
     _require_consistent_units(adjustment)
     adjustment.require_solution()
     _require_consistent_control(adjustment)
-    unused = _is_unused(adjustment)
-    lost = unused.sum() > MIN_FAULTY_FRACTION_OF_PLACE * len(unused)
-    fits = _consistent_unit_text(adjustment) if lost or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
-    if lost or fits:
-        out = f"{unused.sum()} of {len(unused)} pointings would be left out"
-        what = out if lost else f"sigma0 is {adjustment.sigma0:.3g}"
-        cure = f"they fit as {fits}" if fits else "check units, sense of the angles and names"
+    is_unused = _is_unused(adjustment)
+    is_mostly_unused = is_unused.sum() > MIN_FAULTY_FRACTION_OF_PLACE * len(is_unused)
+    unit_text = (
+        _consistent_unit_text(adjustment) if is_mostly_unused or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
+    )
+    if is_mostly_unused or unit_text:
+        out = f"{is_unused.sum()} of {len(is_unused)} pointings would be left out"
+        what = out if is_mostly_unused else f"sigma0 is {adjustment.sigma0:.3g}"
+        cure = f"they fit as {unit_text}" if unit_text else "check units, sense of the angles and names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
 
 
@@ -91,11 +93,11 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     if not (alone.solution.has_converged and alone.sigma0 < MIN_SIGMA0_RATIO * adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.target_points[control.place_indices] - control.declared_points).max())
-    whole = control.declared_components.all(axis=1)
-    adjusted = alone.state.target_points[control.place_indices[whole]]
+    is_complete = control.declared_components.all(axis=1)
+    points = alone.state.target_points[control.place_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest miss {gap:.3g} mm): {_control_difference_text(adjusted, control.declared_points[whole])}"
+        f"largest miss {gap:.3g} mm): {_control_difference_text(points, control.declared_points[is_complete])}"
     )
 
 
@@ -121,10 +123,10 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     )
 
 
-def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
+def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
     """Root sum of squares [m] after a rigid fit."""
     try:
-        return float(np.linalg.norm(alignment_distances(points, goals, align_rigidly(points, goals))))
+        return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
         return float("inf")
 
@@ -184,9 +186,9 @@ def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on reference values that contradict the other observations."""
-    every = (*adjustment.rejected_references, *adjustment.axis_tests)
+    candidates = (*adjustment.rejected_references, *adjustment.axis_tests)
     sentences = [
-        test.sentence for test in every if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
+        test.sentence for test in candidates if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
     ]
     yield from sentences[:MAX_SENTENCES_PER_KIND]
     if len(sentences) > MAX_SENTENCES_PER_KIND:
@@ -206,10 +208,13 @@ def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
 def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
-    planned = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
-    if len(planned) < MIN_PLAN_STATIONS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
+    planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
+    if len(planned_indices) < MIN_PLAN_STATIONS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
-    here, there = state.station_positions[planned] * [1.0, 1.0, 0.0], frame.plan_positions[planned] * [1.0, 1.0, 0.0]
+    here, there = (
+        state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
+        frame.plan_positions[planned_indices] * [1.0, 1.0, 0.0],
+    )
     extent = float(np.ptp(here, axis=0).max())
     if extent < MAX_FLOOR_PLAN_ERROR:  # set-ups over one mark
         return
@@ -219,7 +224,7 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     )
     if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_PLAN_MISCLOSURE * extent):
         return
-    names = listing([adjustment.recording.stations[s] for s in planned])
+    names = listing([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, MAX_MIRROR_MISCLOSURE_RATIO * as_is):
         yield (
             f"the declared places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
@@ -274,20 +279,20 @@ def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
-    moved = estimate_centring_errors(adjustment)
-    if moved is not None:
-        yield moved.sentence
+    centring_errors = estimate_centring_errors(adjustment)
+    if centring_errors is not None:
+        yield centring_errors.sentence
 
 
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on stations that lost most of their pointings."""
     recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
     count = len(recording.stations)
-    whole = np.bincount(recording.station[measured], minlength=count)
-    used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)
-    for s in np.flatnonzero((used > 0) & (used < MIN_FAULTY_FRACTION_OF_PLACE * whole)):
+    n_complete = np.bincount(recording.station[measured], minlength=count)
+    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)
+    for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
         yield (
-            f"station {recording.stations[s]} has {used[s]} of its {whole[s]} pointings in use: its position is "
+            f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "
             "uncertain; check its names, units and sense of azimuth"
         )
 
@@ -300,10 +305,10 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
             f"{listing(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
         )
     bend = np.nan_to_num(pose_curvatures(adjustment)) if adjustment.solution.has_converged else np.zeros(0)
-    bent = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_CURVATURE)]
-    if bent:
+    curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_CURVATURE)]
+    if curved_stations:
         yield (
-            f"the targets of station {listing(bent)} "
+            f"the targets of station {listing(curved_stations)} "
             "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
             f"(curvature {bend.max():.2g}, trustworthy below {MAX_CURVATURE:g}): "
             "add targets far apart and not on one line"
@@ -335,10 +340,10 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     """
     problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
     range_, station = adjustment.sightings.range_, adjustment.recording.station
-    across = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    finest = np.min(np.where(problem.used_readings, across, np.inf), axis=1)
-    steepest, has_readings = np.zeros(len(spread)), np.isfinite(finest)
-    np.maximum.at(steepest, station[has_readings], (range_ / finest)[has_readings])
+    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    min_sigmas = np.min(np.where(problem.used_readings, sigma_lengths, np.inf), axis=1)
+    steepest, has_readings = np.zeros(len(spread)), np.isfinite(min_sigmas)
+    np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
     for s in np.flatnonzero((0.5 * turn * steepest > MIN_CURVATURE_BOUND) & ~np.isnan(bend)):

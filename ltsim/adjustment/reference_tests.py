@@ -161,7 +161,7 @@ class ReferenceTest(ReferenceValue):
     @property
     def minimal_detectable(self) -> Floats:
         """Minimal detectable error (q,) of each component at a power of 80 %; infinite for an untested one."""
-        return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
+        return np.sqrt(noncentrality(alpha=FAMILY_LEVEL)) * self.sigma_error
 
 
 def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
@@ -235,7 +235,7 @@ def snoop_references(
     problem: NetworkProblem,
     solution: Solution[NetworkState],
     kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
-    exempt: frozenset[tuple[ReferenceKind, str]] = frozenset(),
+    exempt_values: frozenset[tuple[ReferenceKind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
     """Problem without the reference values that contradict the other observations, its solution, and their tests.
 
@@ -248,7 +248,7 @@ def snoop_references(
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        suspect = _largest_error(aside, solution, kinds, exempt)
+        suspect = _largest_error(aside, solution, kinds, exempt_values)
         if suspect is None:
             break
         if isinstance(suspect, ReferenceTest):
@@ -267,7 +267,7 @@ def snoop_references(
     too_many = solution.factor is None or _exclude_inconsistent_kind(*given, gone)
     if too_many and by_far is not None:
         reduced, near, count = by_far
-        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt)
+        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt_values)
         return reduced, ended, (*_with_final_errors(out[:count], problem, ended.x), *more)
     if too_many:
         return *given, _contradicting_group(gone, reference_tests(*given))
@@ -280,7 +280,7 @@ def snoop_references(
     weak = [test for test in gone if test.normalised_error < MAX_NORMALISED_ERROR * _typical_error(others[test.kind])]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
-        again = exempt | {(test.kind, test.name) for test in weak}
+        again = exempt_values | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
     doubtful = min(test.normalised_error for test in gone) < MIN_NORMALISED_ERROR_CERTAIN
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
@@ -343,14 +343,14 @@ def _largest_error(
     problem: NetworkProblem,
     solution: Solution[NetworkState],
     kinds: Collection[ReferenceKind],
-    exempt: Collection[tuple[ReferenceKind, str]],
+    exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
     """Reference value, or readings (n, 3), that explain most.
 
     It is None if no reference value contradicts the other observations.
     """
     tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
-    tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt]
+    tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
@@ -362,8 +362,8 @@ def _largest_error(
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
-    def neg_log_corrected_p(drop: float, rank: int, looks: int) -> float:
-        return float(neg_log_p_chi2(drop, rank)) - float(np.log(looks))
+    def neg_log_corrected_p(chi2_drop: float, rank: int, n_tests: int) -> float:
+        return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(n_tests))
 
     count = len(list(reference_values(problem, solution.x)))
     chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]

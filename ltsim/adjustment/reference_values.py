@@ -159,10 +159,10 @@ def without_reference_coordinates(recording: Recording) -> Recording:
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
-def exchange_coordinates(recording: Recording, first: str, second: str) -> Recording:
+def exchange_coordinates(recording: Recording, first_name: str, second_name: str) -> Recording:
     """Recording with the reference coordinates of two targets exchanged."""
     targets = dict(recording.setup.targets)
-    for here, there in ((first, second), (second, first)):
+    for here, there in ((first_name, second_name), (second_name, first_name)):
         coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATE_KEYS}
         targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))

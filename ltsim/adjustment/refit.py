@@ -63,8 +63,8 @@ class ShapeDirection(Signature):
 
     def changed_value(self, change: float) -> float:
         """Constant after a relative change, within its bounds and at most halved or doubled."""
-        moved = self.present_value * (1 + np.clip(change, -0.5, 1.0))
-        return float(np.clip(moved, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
+        new_value = self.present_value * (1 + np.clip(change, -0.5, 1.0))
+        return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 
 @dataclass(frozen=True)
@@ -149,37 +149,37 @@ def refit_with_effects(
     adjustment: Callable[..., Adjustment],
     effects: Sequence[CandidateEffect],
     *,
-    start: NetworkState,
-    fixed: Sequence[Collection[str]] = (),
+    start_state: NetworkState,
+    fixed_constants: Sequence[Collection[str]] = (),
 ) -> Refit:
     """Adjustment with effects, in which shape constants are estimated together with their uncertainty.
 
     Parameters
     ----------
     adjustment : callable
-        The adjustment with `effects` from a `start`, both by name.
+        The adjustment with `effects` from a `start_state`, both by name.
     effects : sequence of Tunable
-    start : State
+    start_state : State
         Start state of the network.
-    fixed : sequence of collections of str, optional
+    fixed_constants : sequence of collections of str, optional
         Names of each effect's constants that are fixed and not reported.
     """
-    stay = fixed or [()] * len(effects)
+    fixed_names = fixed_constants or [()] * len(effects)
     current = list(effects)
-    fitted = joint = adjustment(effects=current, start=start)
+    fitted = joint = adjustment(effects=current, start_state=start_state)
     if not fitted.solution.has_converged:
-        sightings = fitted.problem.model.sightings(start)
+        sightings = fitted.problem.model.sightings(start_state)
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
-        fitted = joint = adjustment(effects=current, start=start)
+        fitted = joint = adjustment(effects=current, start_state=start_state)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(MAX_SHAPE_STEPS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
-        each = zip(current, values, stay, strict=True)
+        each = zip(current, values, fixed_names, strict=True)
         directions = [_shape_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjustment(effects=[*current, *flat], start=fitted.state)
+        joint = adjustment(effects=[*current, *flat], start_state=fitted.state)
         if not joint.solution.has_converged:
             break
         first = sum(len(effect.parameters) for effect in current)
@@ -199,7 +199,7 @@ def _damped_step(
     effects: list[CandidateEffect],
     directions: list[list[ShapeDirection]],
     changes: Floats,
-    previous: Adjustment,
+    last_adjustment: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
 
@@ -207,16 +207,16 @@ def _damped_step(
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
-        tried = adjustment(effects=moved, start=previous.state)
-        if tried.solution.has_converged and tried.chi2 <= previous.chi2 + MAX_CHI2_INCREASE:
+        tried = adjustment(effects=moved, start_state=last_adjustment.state)
+        if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 + MAX_CHI2_INCREASE:
             return moved, tried
     return None
 
 
-def _values_by_effect(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
+def _values_by_effect(effects: Sequence[Signature], parameter_values: Floats) -> list[Floats]:
     """Values of the parameters of each effect."""
     sizes = [len(e.parameters) for e in effects]
-    return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
+    return np.split(parameter_values[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
 def _effects_with_changed_shapes(
@@ -230,17 +230,17 @@ def _effects_with_changed_shapes(
 
 def _estimates_with_uncertainty(
     adjustment: Adjustment,
-    joint: Adjustment,
+    joint_adjustment: Adjustment,
     effects: Sequence[CandidateEffect],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
-    shaped = joint.solution.has_converged and len(joint.effects) > len(effects)
-    carrier = joint if shaped else adjustment
-    if not (effects and carrier.solution.has_converged):
+    has_shape_estimates = joint_adjustment.solution.has_converged and len(joint_adjustment.effects) > len(effects)
+    source = joint_adjustment if has_shape_estimates else adjustment
+    if not (effects and source.solution.has_converged):
         return tuple(() for _ in effects)
-    sigma = _values_by_effect(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
-    relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
+    sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.extra_covariance), 0.0)))
+    relative = iter(sigma[len(effects) :]) if has_shape_estimates else repeat(np.full(1, np.inf))
     rows = []
     for i, (effect, values) in enumerate(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)

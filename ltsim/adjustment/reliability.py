@@ -35,9 +35,9 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
 
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
-    checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+    is_checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     w = np.where(problem.used_readings, 0.0, np.nan)
-    w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
+    w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
 
 
@@ -46,8 +46,8 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
-    shown = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
-    return shown if shown > MAX_SIGMA0_DECLARED_NOISE else 1.0
+    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
+    return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
 def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
@@ -67,13 +67,13 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
         if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):
             break
         named.append(t)
-    at = np.isin(target, named)
-    return np.array(named, dtype=np.int64), noise(at) if named else 1.0, noise(~at)
+    is_member = np.isin(target, named)
+    return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
 
 
-def critical_w(n_readings: int, level: float = FAMILY_LEVEL) -> float:
+def critical_w(n_readings: int, alpha: float = FAMILY_LEVEL) -> float:
     """Limit of |w| for `n_readings` readings tested together (Sidak)."""
-    return float(-special.ndtri(0.5 * level_of_single_test(n_readings, level)))
+    return float(-special.ndtri(0.5 * level_of_single_test(n_readings, alpha)))
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
@@ -88,13 +88,13 @@ def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
     """
     finite_dof = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
     t = tau * np.sqrt((finite_dof - 1.0) / np.maximum(finite_dof - tau**2, 1e-300))
-    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
-    single = np.where(dof < 2, 1.0, single)
-    return np.asarray(-np.expm1(n_readings * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
+    p_single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
+    p_single = np.where(dof < 2, 1.0, p_single)
+    return np.asarray(-np.expm1(n_readings * np.log1p(-np.minimum(p_single, 1.0 - 1e-16))))
 
 
 def iterative_snooping(
-    residuals: Floats, residual_response: Floats, scale: Floats, dof: Floats, n_readings: int, level: float
+    residuals: Floats, residual_response: Floats, scale: Floats, dof: Floats, n_readings: int, alpha: float
 ) -> list[tuple[int, float, float, float]]:
     """Outliers among k readings, the most significant first: index, error in sigmas, w and p-value of each.
 
@@ -110,13 +110,13 @@ def iterative_snooping(
             0.0,
         )
         chance, k = p_value_of_tau(np.abs(w) / scale, dof, n_readings), int(np.argmax(np.abs(w) / scale))
-        if not chance[k] < level:
+        if not chance[k] < alpha:
             break
         is_equivalent = (
             residual_response[k] ** 2
             > MIN_EQUIVALENT_CORRELATION * residual_response[k, k] * np.diag(residual_response)
         ) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
-        equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < level)).tolist() if i != k]
+        equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < alpha)).tolist() if i != k]
         outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
         residuals, residual_response = (
             residuals - residual_response[k] * residuals[k] / redundancy[k],
@@ -126,20 +126,20 @@ def iterative_snooping(
     return outliers
 
 
-def level_of_single_test(n_tests: int, level: float) -> float:
-    """Significance level of one of `n_tests` tests that together have `level` (Sidak)."""
-    return float(-np.expm1(np.log1p(-level) / max(n_tests, 1)))
+def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
+    """Significance level of one of `n_tests` tests that together have `alpha` (Sidak)."""
+    return float(-np.expm1(np.log1p(-joint_alpha) / max(n_tests, 1)))
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
+def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
     """Squared length of a whitened error after adjustment that a chi-square test detects with `TEST_POWER`.
 
     Parameters
     ----------
     dof : int
         Degrees of freedom of the test; one is the two-sided test of a normal variable.
-    level : float
+    alpha : float
         False-alarm rate of all hypotheses together.
     hypotheses : int
         Number of hypotheses that share it (Sidak): with more of them a larger value is needed.
@@ -148,7 +148,7 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    limit = special.chdtri(dof, level_of_single_test(hypotheses, level))
+    limit = special.chdtri(dof, level_of_single_test(hypotheses, alpha))
     return float(special.chndtrinc(limit, dof, 1.0 - TEST_POWER))
 
 
@@ -159,8 +159,8 @@ def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
     used.
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
-    far = x > 300.0
-    beyond = np.where(far, x, 301.0)
-    tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
-    near = -np.log(special.gammaincc(a, np.where(far, 0.0, x)))
-    return np.asarray(np.where(np.asarray(rank) > 0, np.where(far, tail, near), 0.0))
+    is_far = x > 300.0
+    tail_x = np.where(is_far, x, 301.0)
+    tail = tail_x - (a - 1) * np.log(tail_x) + special.gammaln(a) - np.log1p((a - 1) / tail_x)
+    near_value = -np.log(special.gammaincc(a, np.where(is_far, 0.0, x)))
+    return np.asarray(np.where(np.asarray(rank) > 0, np.where(is_far, tail, near_value), 0.0))

@@ -105,9 +105,9 @@ class ResidualSpace:
 
     def with_signatures(self, signature: Floats) -> ResidualSpace:
         """Residual space with signatures (m, q) in the model."""
-        visible = self._projected_basis(signature)
-        residual = self.residuals - visible @ (visible.T @ self.residuals)
-        return ResidualSpace(self.projector.with_removed_columns(visible), residual, self.adjustment)
+        basis = self._projected_basis(signature)
+        residual = self.residuals - basis @ (basis.T @ self.residuals)
+        return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
         """Residual space with some laws in the model."""
@@ -116,21 +116,21 @@ class ResidualSpace:
     def target_shifts(self, signature: Floats) -> Floats:
         """Shift (T, 3) [m] of the adjusted targets by a change (m,) of the whitened readings."""
         adjustment = self.adjustment
-        inside = (adjustment.solution.system.design.T @ signature)[:, None]
-        change: Floats = adjustment.factorised_normals.covariance_columns(inside)[:, 0][
+        normal_side = (adjustment.solution.system.design.T @ signature)[:, None]
+        change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][
             adjustment.problem.unknowns.target_columns
         ]
         return change
 
 
-def orthonormal_columns(projected: Floats, norms: Floats) -> Floats:
-    """Orthonormal columns (m, r) that span the `projected` signatures (m, q).
+def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
+    """Orthonormal columns (m, r) that span the `projected_columns` signatures (m, q).
 
     Directions without projection are dropped.
 
     Directions are compared with the lengths `norms` (q,) of the complete signatures, so that units have no influence.
     """
-    unit = projected / np.where(norms > 0, norms, 1.0)
+    unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
     is_visible = strength > MIN_NUMERICAL_REDUNDANCY
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))

@@ -21,6 +21,7 @@ from ltsim.recordings.references import ReferenceLengths, mark_indices
 from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class GaugeRows(ReferenceLengths):
         """Lower triangular root (g, g) of the correlation of the lengths; None for uncorrelated ones."""
         if not self.shared_error_changes:
             return None
-        together = np.array([*self.shared_error_changes.values()]) / self.sigma
-        correlation = together.T @ together
+        shared_errors = np.array([*self.shared_error_changes.values()]) / self.sigma
+        correlation = shared_errors.T @ shared_errors
         np.fill_diagonal(correlation, 1.0)
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
 
@@ -52,15 +53,15 @@ class GaugeRows(ReferenceLengths):
 
     def decorrelate(self, values: Floats) -> Floats:
         """Values (g,) or (g, q) [m] transformed to independent unit errors."""
-        single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
-        return self.decorrelate_scaled(single)
+        scaled_values = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        return self.decorrelate_scaled(scaled_values)
 
-    def decorrelate_scaled(self, single: Floats) -> Floats:
+    def decorrelate_scaled(self, length_values: Floats) -> Floats:
         """Values (g, ...), in the standard deviation of each length, transformed to independent ones."""
         return (
-            single
+            length_values
             if self.correlation_root is None
-            else scipy.linalg.solve_triangular(self.correlation_root, single, lower=True)
+            else scipy.linalg.solve_triangular(self.correlation_root, length_values, lower=True)
         )
 
     def __len__(self) -> int:
@@ -189,17 +190,23 @@ class DifferenceRows(ControlRows):
             difference for difference in differences if {difference.from_, difference.to} <= places.keys()
         )
         points, axes, roots = _declared_coordinates(differences)
-        ends = np.array(
+        end_indices = np.array(
             [[places[difference.from_], places[difference.to]] for difference in differences], dtype=np.int64
         ).reshape(-1, 2)
         for k, difference in enumerate(differences):
-            for sign, name, place in zip((-1.0, 1.0), (difference.from_, difference.to), ends[k], strict=True):
+            for sign, name, place in zip((-1.0, 1.0), (difference.from_, difference.to), end_indices[k], strict=True):
                 if place == last:
                     points[k] -= sign * np.array(recording.target_setup(name).known_mm) * MILLIMETRE
                 elif place >= count:
                     points[k] += sign * marks.instrument_offsets[place - count]
         return cls(
-            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.label for difference in differences)
+            end_indices[:, 1],
+            points,
+            axes,
+            roots,
+            end_indices[:, 0],
+            last,
+            tuple(difference.label for difference in differences),
         )
 
     @property
@@ -247,9 +254,11 @@ class DifferenceRows(ControlRows):
         )
         place = np.where(self.start_places == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
         arm = self.declared_points / np.where(size > 0.0, size, 1.0)
-        moved = rigid_motion_design(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(-1, 3, 6)
-        moved[~tied, :, :3] = 0.0
-        return moved[self.declared_components]
+        derivatives = rigid_motion_design(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(
+            -1, 3, 6
+        )
+        derivatives[~tied, :, :3] = 0.0
+        return derivatives[self.declared_components]
 
 
 @dataclass(frozen=True)
@@ -308,9 +317,9 @@ class YawRows:
     @classmethod
     def from_recording(cls, recording: Recording, used_readings: Bools) -> YawRows:
         """Rows of the oriented stations of a recording with azimuths in `used_readings` (n, 3)."""
-        turned = np.bincount(recording.station, used_readings[:, 1], len(recording.stations)) > 0
+        n_azimuths = np.bincount(recording.station, used_readings[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
-        rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and turned[i]]
+        rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
         station, sigma, yaw = (np.array([row[k] for row in rows], dtype=np.float64) for k in range(3))
         return cls(station.astype(np.int64), sigma * ARCSECOND, yaw * DEGREE)
 
@@ -323,14 +332,14 @@ class YawRows:
 
     def yaw_residuals(self, rotation: Floats) -> Floats:
         """Declared minus adjusted yaws (y,) [rad]."""
-        ahead = rotation[self.station_indices, :, 0]
-        return wrap_angle(self.yaw - np.arctan2(ahead[:, 1], ahead[:, 0]))
+        headings = rotation[self.station_indices, :, 0]
+        return wrap_angle(self.yaw - np.arctan2(headings[:, 1], headings[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
         """Derivative (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
-        ahead = rotation[self.station_indices, :, 0]
-        flat = ahead * [1.0, 1.0, 0.0]
-        return np.cross(ahead, np.cross(VERTICAL, flat) / np.sum(flat**2, axis=1, keepdims=True))
+        headings = rotation[self.station_indices, :, 0]
+        horizontal = headings * [1.0, 1.0, 0.0]
+        return np.cross(headings, np.cross(VERTICAL, horizontal) / np.sum(horizontal**2, axis=1, keepdims=True))
 
 
 MAX_PARALLEL_PLUMB_ANGLE = 1e-2
@@ -348,13 +357,13 @@ def free_motions(
     controls = [group for group in (control, marks) if len(group)]
     points = np.concatenate([group.declared_points for group in controls]) if controls else np.zeros((1, 3))
     centre = points.mean(axis=0)
-    reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
+    radius = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
     rows = [
-        rigid_motion_design((group.declared_points - centre) / reach)[group.declared_components.ravel()]
+        rigid_motion_design((group.declared_points - centre) / radius)[group.declared_components.ravel()]
         for group in controls
     ]
     if len(differences):
-        rows.append(differences.motion_derivatives(centre, reach))
+        rows.append(differences.motion_derivatives(centre, radius))
     if len(levels):
         mean = levels.plumb_directions.mean(axis=0)
         is_parallel = float(np.linalg.norm(levels.plumb_directions - mean, axis=1).max()) < MAX_PARALLEL_PLUMB_ANGLE
@@ -366,8 +375,8 @@ def free_motions(
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))
     rank = int(np.sum(singular > MAX_COLLINEAR_RATIO * singular.max(initial=0.0)))
-    free = right[rank:].T
-    free[3:] /= reach
-    free /= np.linalg.norm(free, axis=0, keepdims=True)
-    free[:3] -= np.cross(free[3:].T, centre).T
-    return free
+    motions = right[rank:].T
+    motions[3:] /= radius
+    motions /= np.linalg.norm(motions, axis=0, keepdims=True)
+    motions[:3] -= np.cross(motions[3:].T, centre).T
+    return motions

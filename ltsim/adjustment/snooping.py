@@ -63,19 +63,19 @@ def is_copied_row(recording: Recording) -> Bools:
         return np.zeros(len(recording), dtype=bool)
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
-    whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
-    repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
-    copied = _equals_earlier_row(whole) & recording.is_measured.any(axis=1)
+    rows = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
+    is_repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
+    is_copied = _equals_earlier_row(rows) & recording.is_measured.any(axis=1)
     if recording.has_clock:
-        return copied
-    return copied & (copied.sum() >= max(MIN_COPIED_ROWS, int(repeated.sum())))
+        return is_copied
+    return is_copied & (is_copied.sum() >= max(MIN_COPIED_ROWS, int(is_repeated.sum())))
 
 
 def _equals_earlier_row(rows: np.ndarray) -> Bools:
     """Flags (n,) of the rows that equal an earlier one."""
-    later = np.ones(len(rows), dtype=bool)
-    later[np.unique(rows, axis=0, return_index=True)[1]] = False
-    return later
+    is_later = np.ones(len(rows), dtype=bool)
+    is_later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return is_later
 
 
 # --- what the readings in use do not place ------------------------------------------------------------------------
@@ -110,15 +110,13 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
-    whole = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
-    doubtful = ~whole & ~problem.structure.is_unmeasured_target
-    doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
-    if not doubtful.any():
-        return doubtful
-    weighted = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
-    rows = np.where(
-        problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weighted, 0.0
-    )
+    n_complete = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
+    is_doubtful = ~n_complete & ~problem.structure.is_unmeasured_target
+    is_doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
+    if not is_doubtful.any():
+        return is_doubtful
+    weights = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
+    rows = np.where(problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0)
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
     gauge, control = problem.gauge_rows, problem.control_rows
@@ -136,7 +134,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
-    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
+    return is_doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
 def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
@@ -145,18 +143,18 @@ def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
     Set-ups over marks and stations without readings are excluded.
     """
     recording, marks = problem.model.recording, problem.marks
-    sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    used = problem.used_readings.any(axis=1)
-    sighted[recording.station[used], recording.target[used]] = True
-    vertical = np.full((len(sighted), 3), np.nan)
+    is_sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    is_used = problem.used_readings.any(axis=1)
+    is_sighted[recording.station[is_used], recording.target[is_used]] = True
+    vertical = np.full((len(is_sighted), 3), np.nan)
     vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
-    free = np.array([not name for name in marks.mark_names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~determines_pose(state.target_points, sighted, vertical))
-    if not len(few):
+    is_free = np.array([not name for name in marks.mark_names]) & is_sighted.any(axis=1)
+    deficient_names = np.flatnonzero(is_free & ~determines_pose(state.target_points, is_sighted, vertical))
+    if not len(deficient_names):
         return ""
-    levelled = few[0] in problem.level_rows.station_indices
-    what = "two targets that are not above one another" if levelled else "three targets that are not on one line"
-    return f"station {recording.stations[few[0]]} sees fewer than {what}, which a pose needs"
+    levelled = deficient_names[0] in problem.level_rows.station_indices
+    phrase = "two targets that are not above one another" if levelled else "three targets that are not on one line"
+    return f"station {recording.stations[deficient_names[0]]} sees fewer than {phrase}, which a pose needs"
 
 
 # --- before the adjustment ----------------------------------------------------------------------------------------
@@ -250,12 +248,12 @@ def snoop_readings(
         rejected = _reject_readings(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
-    tried: set[bytes] = set()
+    tried_sets: set[bytes] = set()
     placed, target = state.target_points, problem.model.recording.target
     while True:
         reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
         solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
-        tried.add(rejected.tobytes())
+        tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
@@ -274,7 +272,9 @@ def snoop_readings(
         new = _test_rejected_again(problem, reduced, solution, rejected, limit)
         if np.array_equal(new, rejected):
             return reduced, solution if solution.has_converged else solve(reduced, state)
-        if new.tobytes() in tried or len(tried) >= max_passes:  # On the edge: what is out in either stays out.
+        if (
+            new.tobytes() in tried_sets or len(tried_sets) >= max_passes
+        ):  # On the edge: what is out in either stays out.
             last = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~(new | rejected)), state)
             ended = solve(last, state)
             return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
@@ -294,12 +294,12 @@ def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float)
     return np.asarray(w > limit * scale)
 
 
-def _mostly_rejected_setups(rejected: Bools, problem: NetworkProblem) -> Bools:
+def _mostly_rejected_setups(is_rejected: Bools, problem: NetworkProblem) -> Bools:
     """Flags (S,) of the set-ups with more rejected readings (n, 3) than used ones."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
-        for rows in (rejected, problem.used_readings)
+        for rows in (is_rejected, problem.used_readings)
     )
     return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
 
@@ -315,15 +315,15 @@ def _whitened_residuals_of(problem: NetworkProblem, readings: Floats) -> Floats:
 
 
 def prediction_sigmas(
-    problem: NetworkProblem, solution: Solution[NetworkState], omitted: Bools, prediction: Prediction | None = None
+    problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
-    """Standard deviations (k,) of the deviations of `omitted` (n, 3) readings from predictions, over the declared.
+    """Standard deviations (k,) of the deviations of `is_omitted` (n, 3) readings from predictions, over the declared.
 
     The `prediction` is that of the solution's state, computed here by default.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
-    rows = to_dense(system.design[np.flatnonzero(omitted[problem.used_readings])])
+    rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.used_readings])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
 
@@ -341,11 +341,11 @@ def _test_readings(
 
 
 def _test_rejected_again(
-    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], rejected: Bools, limit: float
+    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], is_rejected: Bools, limit: float
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
-    out = rejected & problem.used_readings
+    out = is_rejected & problem.used_readings
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
@@ -355,7 +355,7 @@ def _test_rejected_again(
         new &= w > 0.5 * w.max()
     if prediction is not None:
         spread = prediction_sigmas(problem, solution, out, prediction)
-        still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
+        still, alone = np.zeros_like(is_rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _whitened_residuals_of(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
@@ -367,7 +367,7 @@ def _test_rejected_again(
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= (
             still
-            | (rejected & reduced.structure.is_unmeasured_target[targets][:, None])
+            | (is_rejected & reduced.structure.is_unmeasured_target[targets][:, None])
             | (problem.used_readings & alone[targets][:, None])
         )
         new |= problem.used_readings & lost[stations][:, None]

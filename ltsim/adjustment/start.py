@@ -110,8 +110,8 @@ class NetworkInitialiser:
     def _target_points(self) -> Floats:
         """Present approximate targets (T, 3): median of their positions from the stations, or located positions."""
         places = self._located_targets.copy()
-        whole = np.flatnonzero(self._is_covered)
-        places[whole] = self._pairs.medians_by_target(self._pair_points, whole)
+        complete_rows = np.flatnonzero(self._is_covered)
+        places[complete_rows] = self._pairs.medians_by_target(self._pair_points, complete_rows)
         return places
 
     @property
@@ -162,8 +162,8 @@ class NetworkInitialiser:
 
     def _join_by_yaw(self) -> bool:
         """Addition of an oriented station over a known mark, once the network is in its frame."""
-        oriented = np.flatnonzero(self._frame.has_declared_yaw & ~self._is_joined).tolist()
-        for station in oriented if self._is_in_frame else ():
+        oriented_indices = np.flatnonzero(self._frame.has_declared_yaw & ~self._is_joined).tolist()
+        for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
             if stand is not None:
                 self._join_station(station, stand, rotation_about_z(float(self._frame.plan_yaws[station])))
@@ -219,9 +219,9 @@ class NetworkInitialiser:
                 continue
             level = self._is_levelled and bool(self._frame.is_levelled[station])
             sight = self._readings.select_rows(rows)
-            pose = fit_pose(sight, places[recording.target[rows]], level=level, position=stand)
+            pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
             if pose is None and level and stand is not None:  # a wrong range or elevation leaves the heading
-                pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], level=True, position=stand)
+                pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
                 return True
@@ -296,8 +296,8 @@ class NetworkInitialiser:
 
     def _level_stations(self) -> None:
         """Rotations of stations without angles: upright, along the axes of the other stations or of the floor plan."""
-        measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
-        reads_angles = np.bincount(self._recording.station, measured, len(self._is_joined)) > 0
+        is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
+        reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0
         if reads_angles.any():
             up = self._rotations[reads_angles & self._is_joined, :, 2].sum(axis=0)
         elif self._is_from_plan and not self._is_in_frame:
@@ -362,9 +362,9 @@ class NetworkInitialiser:
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
         control = np.concatenate([frame.plan_points, frame.declared_stations])[:, :2]
-        ranged = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
-        starts, ends = stands[recording.station[ranged]], recording.target[ranged]
-        lines = PlanLengths(starts, ends, self._front_readings[ranged, 0])
+        ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
+        starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
+        lines = PlanLengths(starts, ends, self._front_readings[ranged_indices, 0])
         station, end = recording.station[rows], recording.target[rows]
         plan = fit_plan(station, stands[station], end, self._front_readings[rows, 1], control, lines)
         if plan is None:
@@ -394,6 +394,6 @@ class NetworkInitialiser:
         shared = points[targets[self._has_coordinates[targets]]]
         require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines)
         require_located_target(self._recording, self._has_coordinates)
-        lost = np.asarray(np.isnan(points).any(axis=1))
-        points = np.where(lost[:, None], points[~lost].mean(axis=0), points)
-        return (self._frame.marks.positions_on_marks(self._positions, points), self._rotations, points), lost
+        is_lost = np.asarray(np.isnan(points).any(axis=1))
+        points = np.where(is_lost[:, None], points[~is_lost].mean(axis=0), points)
+        return (self._frame.marks.positions_on_marks(self._positions, points), self._rotations, points), is_lost

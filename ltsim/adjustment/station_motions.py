@@ -40,9 +40,9 @@ class UniformMotion(StationMotion):
 
     def motion(self, sightings: Sightings) -> Floats:
         """Fraction of the complete motion at each pointing, for each component."""
-        longest = np.full(len(sightings.station_names), 1e-9)
-        np.maximum.at(longest, sightings.station, sightings.station_time)
-        share = with_equal_times_per_run(sightings).station_time / longest[sightings.station]
+        max_times = np.full(len(sightings.station_names), 1e-9)
+        np.maximum.at(max_times, sightings.station, sightings.station_time)
+        share = with_equal_times_per_run(sightings).station_time / max_times[sightings.station]
         return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 

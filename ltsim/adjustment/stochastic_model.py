@@ -69,10 +69,10 @@ def iterate_reweighted(
         partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
         int(problem.used_readings.sum()),
     )
-    ends = [search(huber_weights)]
-    if are_many_far(ends[0][1][:reading]):
-        ends.append(search(cauchy_weights))
-    return ends[best_end_index([residual[:reading] for _, residual in ends])]
+    solutions = [search(huber_weights)]
+    if are_many_far(solutions[0][1][:reading]):
+        solutions.append(search(cauchy_weights))
+    return solutions[best_end_index([residual[:reading] for _, residual in solutions])]
 
 
 def are_many_far(whitened_residuals: Floats) -> bool:
@@ -211,12 +211,12 @@ def estimate_variance_components(
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _extrapolated_limit(step: Floats, previous: Floats) -> Floats:
-    """Limit of a sequence with linear convergence beyond its last step, from that and the `previous` one (0: none).
+def _extrapolated_limit(step: Floats, last_step: Floats) -> Floats:
+    """Limit of a sequence with linear convergence beyond its last step, from that and the `last_step` one (0: none).
 
     Steps shrink by a constant ratio: Aitken's delta-squared process.
     """
-    ratio = np.divide(step, previous, out=np.zeros_like(step), where=previous != 0.0)
+    ratio = np.divide(step, last_step, out=np.zeros_like(step), where=last_step != 0.0)
     return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
 
 

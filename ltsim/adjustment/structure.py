@@ -187,17 +187,17 @@ class UndeterminedUnknowns:
         upright = np.zeros(count, dtype=bool)
         upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
         on = marks.target_indices >= 0
-        flat = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        flat[marks.target_indices[on & azimuth]] = True
-        flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
-        flat[marks.target_indices[on & (feels | ~upright)]] = False
-        flat[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
-        flat[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
-        height_free = network.difference_rows.undetermined_heights(np.concatenate([flat, height, [False]]))
+        n_rows = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        n_rows[marks.target_indices[on & azimuth]] = True
+        n_rows[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
+        n_rows[marks.target_indices[on & (feels | ~upright)]] = False
+        n_rows[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
+        n_rows[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
+        height_free = network.difference_rows.undetermined_heights(np.concatenate([n_rows, height, [False]]))
         has_height = np.concatenate(
             [network.control_rows.declared_components[:, 2], network.control_rows_of_marks.declared_components[:, 2]]
         )
-        stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(flat) : -1])
+        stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(n_rows) : -1])
         return cls(
             constraints_on_unseen=int(
                 network.control_rows.declared_components[~is_read[network.control_rows.place_indices]].sum()
@@ -205,13 +205,13 @@ class UndeterminedUnknowns:
             unknowns=network.unknowns,
             yaw_free_stations=np.flatnonzero(~azimuth),
             tilt_free_stations=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height_free_stations=np.flatnonzero(height_free[len(flat) : -1]),
+            height_free_stations=np.flatnonzero(height_free[len(n_rows) : -1]),
             unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             is_unmeasured_target=~is_read,
-            height_free_targets=height_free[: len(flat)],
+            height_free_targets=height_free[: len(n_rows)],
             oriented_stations=np.flatnonzero(azimuth),
             scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
-            fixes_heights=bool(stands.all() and (height_free[: len(flat)] | ~is_read).all() and not has_height.any()),
+            fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
         )
 
     @property
@@ -238,32 +238,32 @@ class UndeterminedUnknowns:
             state.target_points[self.scale_target]
             - state.station_positions[self.oriented_stations[: len(self.scale_target)]]
         )
-        away = arm / np.linalg.norm(arm, axis=1, keepdims=True)
-        single = np.zeros((self.n_fixed - len(yaw) - len(tilt) - len(away), 3))
-        single[:, 0] = 1.0
-        return np.concatenate([yaw, tilt, away, single])
+        directions = arm / np.linalg.norm(arm, axis=1, keepdims=True)
+        unit_vectors = np.zeros((self.n_fixed - len(yaw) - len(tilt) - len(directions), 3))
+        unit_vectors[:, 0] = 1.0
+        return np.concatenate([yaw, tilt, directions, unit_vectors])
 
     @property
     def fixed_pose_components(self) -> Bools:
         """Flags (S, 6) of the fixed components of poses; all three rotations if the yaw is undetermined."""
-        held = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
-        held[self.yaw_free_stations, 3:] = True
-        held[self.tilt_free_stations, 3:] = True
-        held[self.height_free_stations, 2] = True
-        held[self.unread_stations, :3] = True
-        return held
+        is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
+        is_fixed[self.yaw_free_stations, 3:] = True
+        is_fixed[self.tilt_free_stations, 3:] = True
+        is_fixed[self.height_free_stations, 2] = True
+        is_fixed[self.unread_stations, :3] = True
+        return is_fixed
 
     @property
     def n_fixed(self) -> int:
         """Number h of fixed unknowns."""
-        counted = (
+        n_tilts = (
             len(self.yaw_free_stations)
             + 2 * len(self.tilt_free_stations)
             + len(self.scale_target)
             + len(self.height_free_stations)
             + 3 * len(self.unread_stations)
         )
-        return counted + int(self.height_free_targets.sum()) + 3 * int(self.is_unmeasured_target.sum())
+        return n_tilts + int(self.height_free_targets.sum()) + 3 * int(self.is_unmeasured_target.sum())
 
     @property
     def datum_stations(self) -> Ints:
@@ -283,14 +283,14 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
         network.model.recording,
         network.control_rows.declared_components,
     )
-    high = use[:, 2].any()
+    has_height = use[:, 2].any()
     has_scale = (
         use[:, 0].any() or len(network.gauge_rows) or len(network.difference_rows) or len(network.control_rows_of_marks)
     )
     if (
         has_scale
-        or control_axes[:, : 3 if high else 2].any()
-        or (high and any(height.any() for height in recording.heights()))
+        or control_axes[:, : 3 if has_height else 2].any()
+        or (has_height and any(height.any() for height in recording.heights()))
     ):
         return False
     targets = map(recording.target_setup, recording.targets)
@@ -330,11 +330,11 @@ def _sparsest_measurement_sentence(recording: Recording) -> str:
     count = recording.is_measured.sum(axis=1)
     stations = np.bincount(recording.station, count, len(recording.stations))
     targets = np.bincount(recording.target, count, len(recording.targets))
-    weakest = (
+    clause = (
         f"station {recording.stations[int(stations.argmin())]} has {stations.min():.0f} readings, "
         f"target {recording.targets[int(targets.argmin())]} has {targets.min():.0f}"
     )
     return (
-        f"the equations of the network are singular: its readings leave some unknowns undetermined ({weakest}); "
+        f"the equations of the network are singular: its readings leave some unknowns undetermined ({clause}); "
         "measure range and both angles to three or more common targets from each station"
     )

@@ -42,9 +42,9 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 
 def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
     """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
-    chosen = air or adjustment.recording.setup.air or AirUncertainty()
-    used = adjustment.problem.used_readings.any(axis=1)
-    return chosen if chosen.is_relevant(longest_range(adjustment)) and used.any() else None
+    declared_air = air or adjustment.recording.setup.air or AirUncertainty()
+    is_used = adjustment.problem.used_readings.any(axis=1)
+    return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
 
 
 def longest_range(adjustment: Adjustment) -> float:
@@ -115,9 +115,9 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
     readings for rows and the sets for columns.
     """
     counted, size = relevant_air(adjustment, air), columns.shape[1]
-    added = np.zeros((*columns.shape, size))
+    added_covariance = np.zeros((*columns.shape, size))
     if counted is None:
-        return added
+        return added_covariance
     unknowns, (common, turbulent) = adjustment.problem.unknowns.n_columns, _air_right_hand_sides(adjustment, counted)
     step = max(1, MAX_TEMPORARY_ENTRIES // (unknowns * size))
     for first in range(0, len(columns), step):
@@ -126,10 +126,12 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
         by_station = (common.T @ spread).T.reshape(len(batch), size, -1)
         sets = spread.T.reshape(len(batch), size, unknowns)
         scattered = (turbulent @ spread).T.reshape(sets.shape)
-        added[first : first + step] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(scattered, 1, 2)
-    variance = np.einsum("cii->ci", added)
+        added_covariance[first : first + step] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(
+            scattered, 1, 2
+        )
+    variance = np.einsum("cii->ci", added_covariance)
     np.maximum(variance, 0.0, out=variance)  # rounding of what the datum holds
-    return added
+    return added_covariance
 
 
 def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
@@ -164,13 +166,15 @@ def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = No
         adjustment.problem.unknowns.target_columns[targets].ravel(),
         _temperature_and_gradient_shifts(adjustment, chosen),
     )
-    right = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
-    moved = adjustment.factorised_normals.covariance_columns(right)
+    normal_side = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
+    displacements = adjustment.factorised_normals.covariance_columns(normal_side)
     if adjustment.datum is not None:
-        moved = moved - adjustment.datum.free_motions @ (adjustment.datum.transformation.T @ right)
+        displacements = displacements - adjustment.datum.free_motions @ (
+            adjustment.datum.transformation.T @ normal_side
+        )
     motion = rigid_motion_design(adjustment.state.target_points[targets])
     sizes = {}
-    for name, response in zip(shared_air_errors(chosen), moved[columns].T, strict=True):
+    for name, response in zip(shared_air_errors(chosen), displacements[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]
         sizes[name] = float(np.sqrt(3.0 * np.mean(rest**2))) if len(rest) else 0.0
     return sizes

@@ -49,14 +49,14 @@ class Verdict:
 
 
 def verdict_on(
-    adjustment: Adjustment, level: float = GLOBAL_LEVEL, fit_with_constants: tuple[float, int] | None = None
+    adjustment: Adjustment, alpha: float = GLOBAL_LEVEL, fit_with_constants: tuple[float, int] | None = None
 ) -> Verdict:
-    """The verdict on an adjustment, by a global test at a two-sided `level`.
+    """The verdict on an adjustment, by a global test at a two-sided `alpha`.
 
     `fit_with_constants` is chi-square and degrees of freedom of a fit that also estimates the constants of the
     instrument, if there is one.
     """
-    judged = _verdict_from_tests(adjustment, level, fit_with_constants)
+    judged = _verdict_from_tests(adjustment, alpha, fit_with_constants)
     open_ = adjustment_warnings(adjustment)
     if not open_:
         return judged
@@ -65,66 +65,74 @@ def verdict_on(
     return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _verdict_from_tests(adjustment: Adjustment, level: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
+def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
     """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
-    low, high = _sigma0_limits(dof, level)
+    low, high = _sigma0_limits(dof, alpha)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
     by_w, wrong = len(outliers), _reading_count_text(len(outliers))
-    shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
+    phrase = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
+        return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {phrase}, no outlier.", False)
     if low <= sigma0 <= high:
-        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
+        sentence = f"Trust the test of single readings: {wrong} although {phrase} passes, because a sum over many "
         return Verdict(VerdictCase.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the declared noise: {shown} is below that range, but few degrees of freedom support no other."
+            f"Trust the declared noise: {phrase} is below that range, but few degrees of freedom support no other."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
-            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, level)}"
+            f"Trust the estimated sigma0: {phrase}, the declared noise is too large, and the w-test too tolerant; in "
+            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
-    rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
-    healed = dof > by_w and rest <= high**2 * (dof - by_w)
-    if by_w and healed and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum())):
-        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(VerdictCase.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
+    chi2_rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
+    is_explained = dof > by_w and chi2_rest <= high**2 * (dof - by_w)
+    if (
+        by_w
+        and is_explained
+        and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum()))
+    ):
+        rest_text = "the other readings agree with the declared noise."
+        if adjustment.cause_sentences:
+            sentence = f"{phrase} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
+            return Verdict(VerdictCase.SINGLE_ERRORS, sentence[0].upper() + sentence[1:], False)
+        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; {rest_text}"
+        return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
+            f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
-    reasons = _rejection_reasons(adjustment, level, fit_with_constants)
+    reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {shown}; {reasons}, "
+        f"Trust the global test and the estimated sigma0: {phrase}; {reasons}, "
         f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
         f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
     )
     return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
 
 
-def _sigma0_limits(dof: int, level: float) -> tuple[float, float]:
-    """Lower and upper limit of sigma0 at a two-sided level."""
-    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof).tolist()
+def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
+    """Lower and upper limit of sigma0 at a two-sided `alpha`."""
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
 
 
-def _rejection_reasons(adjustment: Adjustment, level: float, fit_with_constants: tuple[float, int] | None) -> str:
+def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
     """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated.
 
     A fit with the constants estimated decides between them.
     """
     if fit_with_constants is not None and fit_with_constants[1] > 0:
         chi2, dof = fit_with_constants
-        low, high = _sigma0_limits(dof, level)
+        low, high = _sigma0_limits(dof, alpha)
         sigma0 = float(np.sqrt(chi2 / dof))
         fit = f"with these estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
@@ -142,7 +150,7 @@ def _rejection_reasons(adjustment: Adjustment, level: float, fit_with_constants:
     )
 
 
-def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
+def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> str:
     """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
     Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
@@ -154,7 +162,7 @@ def noise_declaration_advice(adjustment: Adjustment, level: float = GLOBAL_LEVEL
         use = problem.used_readings[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
         square = float(np.sum(scaled[use, k] ** 2))
-        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
+        if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > alpha / 2:
             continue
         factor = np.sqrt(square / redundancy)
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():

@@ -119,10 +119,10 @@ def arrays_from_file_rows(
         merged[at] = np.where(np.isnan(given), default[at], given)
         return merged
 
-    nominal = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
+    nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values = with_file_values(np.zeros(len(place)), [row.value for row in rows])
-    prior = with_file_values(nominal, [row.prior_sigma for row in rows])
-    applied = with_file_values(values, [row.applied for row in rows])
+    prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in rows])
+    applied_values = with_file_values(values, [row.applied for row in rows])
     merged = np.diag(with_file_values(prior, [row.sigma for row in rows]) ** 2)
     if len(covariance):
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
@@ -137,7 +137,7 @@ def arrays_from_file_rows(
         covariance=merged,
         is_fixed=held.reshape(shape),
         is_prior_rejected=prior_rejected.reshape(shape),
-        applied_values=None if np.array_equal(applied, values) else applied.reshape(shape),
+        applied_values=None if np.array_equal(applied_values, values) else applied_values.reshape(shape),
     )
     return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at]
 
@@ -175,8 +175,8 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     """
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
-    placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS_TABLE.with_rows([names[i], *cells[i].tolist()] for i in placed)
+    placed_indices = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
+    return TARGETS_TABLE.with_rows([names[i], *cells[i].tolist()] for i in placed_indices)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:

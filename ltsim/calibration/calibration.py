@@ -154,24 +154,24 @@ class Calibration(UncertaintyEntry, ResultFile):
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
         bayes = fields["method"] == "network" and not fields["history_prior"]
-        applied = arrays.estimates if fields["correction"] is None else arrays.applied_values
+        applied_values = arrays.estimates if fields["correction"] is None else arrays.applied_values
         prior = with_plausible_priors if bayes else None
-        derived = {
+        derived_fields = {
             "construction_name": arrays.construction.name,
-            "parameters": _parameter_entries(arrays, arrays.estimates if applied is None else applied),
+            "parameters": _parameter_entries(arrays, arrays.estimates if applied_values is None else applied_values),
             "parameter_covariance": (arrays.covariance / np.outer(factors, factors)).tolist(),
             "harmonics": _entries_per_instrument(arrays, harmonic_entries),
             "determined": _entries_per_instrument(arrays, determined_combinations, prior),
             "noise_estimated": _is_noise_estimated(fields["noise"]),
         }
-        made = cls(**fields, **derived)
-        made._arrays = arrays
-        return made
+        result = cls(**fields, **derived_fields)
+        result._arrays = arrays
+        return result
 
     def with_changes(self, **changes: Any) -> Self:
         """Copy of the calibration with other fields or arrays."""
-        named = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
-        arrays = replace(self.arrays, **{name: changes.pop(name) for name in named})
+        by_name = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
+        arrays = replace(self.arrays, **{name: changes.pop(name) for name in by_name})
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
@@ -181,9 +181,9 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
         """Copy of the calibration with the arrays of its parameters, and warnings for their application."""
-        made = self.model_copy()
-        made._arrays, made._warnings = arrays, warnings
-        return made
+        result = self.model_copy()
+        result._arrays, result._warnings = arrays, warnings
+        return result
 
     @property
     def arrays(self) -> CalibrationArrays:
@@ -273,14 +273,14 @@ class Calibration(UncertaintyEntry, ResultFile):
         fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
         test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
-        sharper = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
+        n_determined = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
         targets = f" and {len(self.target_names)} targets" if self.target_names else ""
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
         lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
-            lines.append(f"{count} parameters{held}, {sharper} better known than before; {undetermined}")
+            lines.append(f"{count} parameters{held}, {n_determined} better known than before; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} outlying readings")
@@ -348,18 +348,18 @@ class Calibration(UncertaintyEntry, ResultFile):
         if unknown:
             names = ", ".join(self.instruments)
             raise RecordError(f"instrument '{unknown[0]}' of the recording is not in the calibration ({names})")
-        at = np.array([self.instruments.index(name) for name in recording.instruments])
-        return self.applied_values[at[recording.instrument]]
+        indices = np.array([self.instruments.index(name) for name in recording.instruments])
+        return self.applied_values[indices[recording.instrument]]
 
 
-def _parameter_entries(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in units of display, with the `applied` values (I, p) [SI] that differ from them."""
-    several = len(arrays.instruments) > 1
+def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
+    """Entries of the estimates in units of display, with those of `applied_values` (I, p) [SI] that differ."""
+    is_multiple = len(arrays.instruments) > 1
     entries = []
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
             value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
-            differs = abs(applied[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
+            differs = abs(applied_values[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
                 value=float(value / factor),
@@ -369,8 +369,8 @@ def _parameter_entries(arrays: CalibrationArrays, applied: Floats) -> tuple[Para
                 held=bool(arrays.is_fixed[i, k]),
                 prior_rejected=bool(arrays.is_prior_rejected[i, k]),
             )
-            further = {"applied": float(applied[i, k] / factor)} if differs else {}
-            named = {"instrument": instrument} if several else {}
+            further = {"applied": float(applied_values[i, k] / factor)} if differs else {}
+            named = {"instrument": instrument} if is_multiple else {}
             entries.append(entry.model_copy(update={**further, **named}))
     return tuple(entries)
 
@@ -395,6 +395,6 @@ def _entries_per_instrument(
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
     """True if the noise was estimated from the same readings, so that the global test is void."""
-    whole = sum(n.redundancy for n in noise)
-    estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return estimated > MAX_ESTIMATED_NOISE_FRACTION * whole
+    redundancy = sum(n.redundancy for n in noise)
+    redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
+    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION * redundancy

@@ -132,21 +132,21 @@ class CalibrationSeries(ValueEquality):
             if calibration.history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
-        chosen = _with_common_parameters(
+        calibrations = _with_common_parameters(
             [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
         )
-        for (label, _), calibration in zip(labelled_calibrations, chosen, strict=True):
+        for (label, _), calibration in zip(labelled_calibrations, calibrations, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
                 name = calibration.construction.parameter_names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         labels = tuple(label for label, _ in labelled_calibrations)
-        declared = (
+        day_texts = (
             dates
             if dates is not None
             else [c.recording.measured if c.recording else None for _, c in labelled_calibrations]
         )
-        return cls(labels, chosen, days_since_first(labels, declared))
+        return cls(labels, calibrations, days_since_first(labels, day_texts))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -193,33 +193,33 @@ class CalibrationSeries(ValueEquality):
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
         pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
-        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
+        covariance: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
-            joint[i, :, i] += pull[i] @ remaining[i]
-        return joint
+            covariance[i, :, i] += pull[i] @ remaining[i]
+        return covariance
 
-    def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, with p-values.
+    def change(self, first_number: int, second_number: int) -> ChangeEntry:
+        """Change from calibration number `first_number` to number `second_number`: later minus earlier, with p-values.
 
         Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
         of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
-        contrast[0, [first, second]] = -1.0, 1.0
+        contrast[0, [first_number, second_number]] = -1.0, 1.0
         gap, spread = self._contrasts_and_covariance(contrast, np.eye(len(parameters)))
         sigma = np.sqrt(np.where(self._mean_variance_reduction > MAX_UNINFORMATIVE_GAIN, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
         holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
-        changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
+        changed_indices = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
         unit = self.prior_sigma / [p.si_per_display_unit for p in parameters]
         test: dict[str, Any] = _chi_square_test(
             *self._contrasts_and_covariance(contrast, self._informative_combinations)
         ).model_dump()
         return ChangeEntry(
-            **test | {"from": self.labels[first], "to": self.labels[second]},
-            changed=tuple(parameters[k].name for k in changed),
+            **test | {"from": self.labels[first_number], "to": self.labels[second_number]},
+            changed=tuple(parameters[k].name for k in changed_indices),
             parameters=tuple(
                 DifferenceEntry(
                     name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
@@ -251,8 +251,10 @@ class CalibrationSeries(ValueEquality):
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
         """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
         values = contrast @ (self.estimates / self.prior_sigma) @ combination
-        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True)
-        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
+        half_product: Floats = np.einsum(
+            "mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True
+        )
+        spread: Floats = np.einsum("msjb,nj,bt->msnt", half_product, contrast, combination, optimize=True)
         return values.ravel(), spread.reshape(values.size, values.size)
 
     @cached_property
@@ -281,8 +283,8 @@ class CalibrationSeries(ValueEquality):
             variance = spread
             if settled:
                 break
-        silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
-        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
+        is_silent = self._mean_variance_reduction < MAX_UNINFORMATIVE_GAIN
+        mean, variance = np.where(is_silent, 0.0, mean), np.where(is_silent, 1.0, variance)
         unit = self.prior_sigma
         return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
@@ -293,14 +295,17 @@ class CalibrationSeries(ValueEquality):
         varies mostly follows the history, one that varies mostly the calibration.
         """
         population, unit = self.population, self.prior_sigma
-        single = single_instrument(calibration, None, "the calibration")
+        input_calibration = single_instrument(calibration, None, "the calibration")
         spread = population.spread / unit
         likelihood = likelihood_information(
-            single.estimates[0], single.covariance, single.arrays.effective_prior_sigma[0], unit
+            input_calibration.estimates[0],
+            input_calibration.covariance,
+            input_calibration.arrays.effective_prior_sigma[0],
+            unit,
         )
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
         values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
-        return single.with_changes(
+        return input_calibration.with_changes(
             estimates=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],
@@ -329,18 +334,18 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
 
     Raises RecordError if there are none.
     """
-    held = np.any([c.is_fixed[0] for c in calibrations], axis=0)
-    if held.all():
+    is_fixed = np.any([c.is_fixed[0] for c in calibrations], axis=0)
+    if is_fixed.all():
         raise RecordError("no parameter is estimated in all calibrations; calibrate all with the same parameters")
-    return tuple(c.for_instrument(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
+    return tuple(c.for_instrument(0, np.flatnonzero(~is_fixed)) if is_fixed.any() else c for c in calibrations)
 
 
 def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
     """Chi-square test of a vector (m,) over the combinations that its covariance (m, m) determines."""
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
-    resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
-    z = (vectors[:, resolved].T @ difference) / np.sqrt(values[resolved])
-    return ChiSquareEntry.from_statistic(float(z @ z), int(resolved.sum()))
+    is_resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
+    z = (vectors[:, is_resolved].T @ difference) / np.sqrt(values[is_resolved])
+    return ChiSquareEntry.from_statistic(float(z @ z), int(is_resolved.sum()))
 
 
 def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
@@ -348,18 +353,18 @@ def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floa
     if len(dates) != len(labels):
         problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
         raise RecordError(f"{problem}; expected one date per calibration")
-    declared = [date for date in dates if date]
-    if len(declared) < len(dates):
+    given_dates = [date for date in dates if date]
+    if len(given_dates) < len(dates):
         return None
     try:
-        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in declared]
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in given_dates]
     except ValueError:
-        problem = f"the dates {', '.join(declared)} are not all in ISO form"
+        problem = f"the dates {', '.join(given_dates)} are not all in ISO form"
         raise RecordError(f"{problem}; expected dates such as 2026-05-31") from None
     days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
-    back = np.flatnonzero(np.diff(days) < 0)
-    if len(back):
-        i = int(back[0])
-        message = f"{labels[i]} ({declared[i]}) is listed before {labels[i + 1]} ({declared[i + 1]})"
+    backward_steps = np.flatnonzero(np.diff(days) < 0)
+    if len(backward_steps):
+        i = int(backward_steps[0])
+        message = f"{labels[i]} ({given_dates[i]}) is listed before {labels[i + 1]} ({given_dates[i + 1]})"
         raise RecordError(f"{message}; expected calibrations in the order of time")
     return days

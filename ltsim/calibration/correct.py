@@ -63,12 +63,12 @@ def correct(
             f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
     values = corrections.values_for(source)
-    without = source.with_readings(source.readings - incidence_correction_change(source, corrections))
-    readings = corrected_readings(without, corrections.construction, values)
+    uncorrected = source.with_readings(source.readings - incidence_correction_change(source, corrections))
+    readings = corrected_readings(uncorrected, corrections.construction, values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
-    marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
-    return source.replace(setup=setup.model_copy(update=marked), readings=readings)
+    marked_setup = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
+    return source.replace(setup=setup.model_copy(update=marked_setup), readings=readings)
 
 
 def incidence_correction_change(recording: Recording, calibration: Calibration) -> Floats:
@@ -90,11 +90,11 @@ def incidence_correction_change(recording: Recording, calibration: Calibration) 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
     """Ideal raw readings (n, 3) of the points that the raw readings describe; NaN if not measured."""
-    raw = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
-    ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
-    change = ideal - raw
+    raw_readings = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
+    ideal = to_face(to_polar(construction.point(raw_readings, values)), recording.face)
+    change = ideal - raw_readings
     change[:, 1:] = wrap_angle(change[:, 1:])
-    return np.where(recording.is_measured, raw + change, np.nan)
+    return np.where(recording.is_measured, raw_readings + change, np.nan)
 
 
 def _replacement_readings(recording: Recording) -> Floats:

@@ -40,6 +40,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
+"""Norm of the objective of each distance method: sum of squares, or sum of absolute values."""
 
 
 def calibrate_distance(
@@ -57,34 +58,41 @@ def calibrate_distance(
     of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
-    built = construction or declared_construction(recording)
-    parameter_prior = (choice or ParameterSelection()).prior_of(recording, built)
+    model = construction or declared_construction(recording)
+    parameter_prior = (choice or ParameterSelection()).prior_of(recording, model)
     prior, held = parameter_prior.sigma, parameter_prior.is_fixed
     source = SourceEntry.from_recording(recording)
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
-    start = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
-    problem, norm, notes = DistanceProblem(usable, built, prior), DISTANCE_METHODS[method], tuple[str, ...]()
+    start_values = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
+    problem, norm, notes = DistanceProblem(usable, model, prior), DISTANCE_METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
         estimate = solve_equation_9(
-            problem, norm, bound_in_prior_sigmas=bound_in_prior_sigmas, start=start, fixed_mask=held.ravel()
+            problem,
+            norm,
+            bound_in_prior_sigmas=bound_in_prior_sigmas,
+            start_values=start_values,
+            fixed_mask=held.ravel(),
         )
     else:
-        estimate = solve_distances(problem, norm, start=start, fixed_mask=held.ravel())
+        estimate = solve_distances(problem, norm, start_values=start_values, fixed_mask=held.ravel())
         notes = compare_with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
-    applied = values[0] if len(values) == 1 else values[recording.instrument]
-    corrected = recording.with_readings(corrected_readings(recording, built, applied))
-    adjustment = adjust(corrected)
+    applied_values = values[0] if len(values) == 1 else values[recording.instrument]
+    corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
+    adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
-    propagation = ErrorPropagation(recording, built, values, estimate, adjustment)
-    added = propagation.added_covariance()
+    propagation = ErrorPropagation(recording, model, values, estimate, adjustment)
+    added_covariance = propagation.added_covariance()
     unknowns = adjustment.problem.unknowns
-    pose = adjustment.pose_covariance + added[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
+    pose = (
+        adjustment.pose_covariance
+        + added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
+    )
     scale = prior.ravel()
     null_space = np.array([d.vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
     arrays = CalibrationArrays(
-        construction=built,
+        construction=model,
         instruments=recording.instruments,
         estimates=values,
         prior_sigma=prior,
@@ -94,17 +102,17 @@ def calibrate_distance(
         target_names=recording.targets,
         target_points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance
-        + added[unknowns.target_columns[:, :, None], unknowns.target_columns[:, None, :]],
+        + added_covariance[unknowns.target_columns[:, :, None], unknowns.target_columns[:, None, :]],
         adjustment=adjustment,
     )
     return Calibration.from_arrays(
         arrays,
         method=method,
         fit=_fit_entry(propagation),
-        undetermined=_undetermined_entries(adjustment, built, estimate, advise=advise),
+        undetermined=_undetermined_entries(adjustment, model, estimate, advise=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
-        criteria=result.criteria_table(recording, adjustment, built, values, reflectors=False),
+        criteria=result.criteria_table(recording, adjustment, model, values, reflectors=False),
         outliers=result.outlier_rows(adjustment),
         undetermined_targets=tuple(
             recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.is_unmeasured_target)
@@ -118,15 +126,15 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
     """Fit of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
     mean, variance = propagation.chi2_moments()
-    expected = round(mean)
-    redundant = propagation.adjustment.dof > 0 and expected > 0
+    expected_chi2 = round(mean)
+    redundant = propagation.adjustment.dof > 0 and expected_chi2 > 0
     status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.has_converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
     return FitEntry(
         chi2=chi2,
-        dof=expected,
-        sigma0=float(np.sqrt(chi2 / expected)) if redundant else None,
+        dof=expected_chi2,
+        sigma0=float(np.sqrt(chi2 / expected_chi2)) if redundant else None,
         p_value=propagation.chi2_tail(chi2) if redundant else None,
         iterations=estimate.n_iterations,
         status=status[0],
@@ -189,12 +197,14 @@ class ErrorPropagation:
         """Design B in units of the prior sigmas, (m, I p); gauge lengths do not depend on the parameters."""
         recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state
-        at = NetworkState(state.station_positions, state.station_rotations, state.target_points, self.estimates)
-        by_value = MeasurementModel(recording, self.construction).linearise(at).instrument_derivatives
+        linear_state = NetworkState(
+            state.station_positions, state.station_rotations, state.target_points, self.estimates
+        )
+        by_value = MeasurementModel(recording, self.construction).linearise(linear_state).instrument_derivatives
         prior = prior_sigmas(recording, self.construction)[recording.instrument]
-        wide = np.zeros((len(recording), 3, count, size))
-        wide[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
-        whitened = (wide / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
+        design = np.zeros((len(recording), 3, count, size))
+        design[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
+        whitened = (design / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
         gauge = np.zeros((len(self.adjustment.problem.gauge_rows), count * size))
         return np.concatenate([whitened[self._used_rows], gauge])
 
@@ -208,8 +218,8 @@ class ErrorPropagation:
     def added_covariance(self) -> Floats:
         """Contribution of the parameters' error to the covariance (size, size) of the adjustment."""
         through = self._adjustment_response @ self._parameter_design
-        crossed = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
-        return through @ self.estimate.covariance @ through.T - crossed - crossed.T
+        cross_covariance = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
+        return through @ self.estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
     def _project_on_residuals(self, columns: Floats) -> Floats:
         return columns - self._whitened_design @ (self._adjustment_response @ columns)
@@ -220,13 +230,15 @@ class ErrorPropagation:
             self._project_on_residuals(self._parameter_design),
             self._project_on_residuals(self._noise_parameter_covariance),
         )
-        both = np.concatenate([systematic, noise], axis=1)
+        stacked = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
-        mixed = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (
-            both.T @ both
+        block_matrix = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (
+            stacked.T @ stacked
         )
-        free = float(self.adjustment.dof)
-        return free + float(np.trace(mixed)), 2 * (free + 2 * float(np.trace(mixed)) + float(np.sum(mixed * mixed.T)))
+        n_free = float(self.adjustment.dof)
+        return n_free + float(np.trace(block_matrix)), 2 * (
+            n_free + 2 * float(np.trace(block_matrix)) + float(np.sum(block_matrix * block_matrix.T))
+        )
 
     def chi2_tail(self, chi2: float) -> float:
         """Probability of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""

@@ -70,8 +70,8 @@ class DistanceEstimate:
 def mean_deviation_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Rows whose sum of squares is eq. 9 squared: weighted deviations from the mean over sets."""
     centre, count = centring_matrix(distances)
-    scaled = sp.diags_array(np.sqrt(count)) @ centre
-    return _append_gauge_rows(problem, distances, sp.csr_array(scaled))
+    scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
+    return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
@@ -96,10 +96,10 @@ def _append_gauge_rows(
 ) -> ComparedDistances:
     at, which = problem.gauge_matches(distances)
     n_lengths = len(problem.reference_lengths)
-    pick = _selection_matrix(at, len(distances.lengths))
+    selection = _selection_matrix(at, len(distances.lengths))
     # The error of a gauge length shifts all rows that compare with it.
     spread = sp.csr_array(-problem.reference_lengths.decorrelated_to_lengths[which])
-    matrix = sp.vstack([comparison_matrix, pick], format="csr")
+    matrix = sp.vstack([comparison_matrix, selection], format="csr")
     residual = matrix @ distances.lengths
     residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
     length_noise = sp.vstack([sp.csr_array((comparison_matrix.shape[0], n_lengths)), spread], format="csr")
@@ -110,18 +110,22 @@ def _append_gauge_rows(
 
 
 def solve_distances(
-    problem: DistanceProblem, norm: ObjectiveNorm, *, start: Floats | None = None, fixed_mask: Bools | None = None
+    problem: DistanceProblem,
+    norm: ObjectiveNorm,
+    *,
+    start_values: Floats | None = None,
+    fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
     """Minimum of eq. 9 over the combinations that the readings determine.
 
-    The iteration starts at zero or at `start` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
+    The iteration starts at zero or at `start_values` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
 
     Raises
     ------
     NetworkError
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
-    unknowns, free = _start_values(problem, start, fixed_mask)
+    unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
     _require_compared_distances(rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(rows, free)
@@ -140,7 +144,7 @@ def solve_equation_9(
     norm: ObjectiveNorm,
     *,
     bound_in_prior_sigmas: float | None = None,
-    start: Floats | None = None,
+    start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
     """Minimum of eq. 9 with every unknown within `bound_in_prior_sigmas` prior sigmas.
@@ -154,7 +158,7 @@ def solve_equation_9(
     """
     if bound_in_prior_sigmas is not None and not bound_in_prior_sigmas > 0:
         raise ModelError(f"the box is {bound_in_prior_sigmas}, expected a positive number of prior sigmas")
-    unknowns, free = _start_values(problem, start, fixed_mask)
+    unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
     _require_compared_distances(rows, free)
     while iterations < MAX_EQUATION_9_STEPS and not moved < EQUATION_9_TOLERANCE:
@@ -164,14 +168,16 @@ def solve_equation_9(
         unknowns, rows, fallen = _line_search(problem, unknowns, step, rows, norm)
         moved = min(float(np.max(np.abs(step))), fallen)
     visible, invisible = _split_observable_combinations(rows, free)
-    undetermined = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
-    return _make_estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < EQUATION_9_TOLERANCE)
+    combinations = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
+    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < EQUATION_9_TOLERANCE)
 
 
-def _start_values(problem: DistanceProblem, start: Floats | None, fixed_mask: Bools | None) -> tuple[Floats, Bools]:
+def _start_values(
+    problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
+) -> tuple[Floats, Bools]:
     """Start values (q,) of the unknowns, and flags of the free ones."""
     size = problem.prior_sigma.size
-    unknowns: Floats = np.zeros(size) if start is None else start.copy()
+    unknowns: Floats = np.zeros(size) if start_values is None else start_values.copy()
     return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
@@ -184,15 +190,21 @@ def _make_estimate(
     rows: ComparedDistances,
     norm: ObjectiveNorm,
     solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
-    iterations: int,
-    converged: bool,
+    n_iterations: int,
+    is_converged: bool,
 ) -> DistanceEstimate:
     """Estimates from the unknowns, with the estimated combinations (q, k) and the excluded ones."""
     unknowns, estimated, undetermined = solution
     covariance, noise = estimate_covariance(rows, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
     return DistanceEstimate(
-        unknowns, covariance + prior.T @ prior, noise, undetermined, objective_of(rows, norm), iterations, converged
+        unknowns,
+        covariance + prior.T @ prior,
+        noise,
+        undetermined,
+        objective_of(rows, norm),
+        n_iterations,
+        is_converged,
     )
 
 
@@ -217,13 +229,13 @@ def determined_combinations(
     vectors = np.zeros((len(free_unknowns), len(eigenvectors)))
     vectors[free_unknowns] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    carried = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
+    noise_response = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
     variance = np.full(len(strength), np.inf)
-    variance[nonzero] = np.sum(carried[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
+    variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
     keep = gain >= MIN_DETERMINED_GAIN
-    undetermined = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
-    return vectors[:, keep], tuple(sorted(undetermined, key=lambda d: d.gain))
+    combinations = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
+    return vectors[:, keep], tuple(sorted(combinations, key=lambda d: d.gain))
 
 
 def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools) -> tuple[Floats, Floats]:
@@ -254,8 +266,8 @@ def _bounded_step(
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(rows, free_unknowns)[0][free_unknowns]
         return visible @ _unbounded_step(design @ visible, rows.residuals, norm)
-    within = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
-    return within(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
+    bounded_solver = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
+    return bounded_solver(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
 
 
 def _least_squares_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
@@ -309,25 +321,25 @@ def estimate_covariance(
         return noise @ noise.T, noise
     spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
-    scaled = design / spread[:, None]
-    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled)
-    carried = np.asarray((rows.noise_derivatives.T @ scaled).T) * np.sqrt(2 / np.pi)
-    score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
+    scaled_design = design / spread[:, None]
+    curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
+    noise_response = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
-    return covariance, estimated_combinations @ (-inverse @ carried)
+    return covariance, estimated_combinations @ (-inverse @ noise_response)
 
 
 def compare_with_minimum(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
     """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
-    least = solve_equation_9(problem, norm, start=estimate.unknowns, fixed_mask=fixed_mask).objective_value
+    minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     count = len(estimate.undetermined_combinations)
     return (
         f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here, with {count} combinations left "
-        f"at zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
-        "which fits these to the noise)",
+        f"at zero that the readings hardly determine; its own minimum is {power * minimum:.4g} {unit} "
+        f"(method {method}, which fits these to the noise)",
     )

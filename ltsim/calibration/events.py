@@ -66,10 +66,12 @@ def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
     difference, sigma = (
         np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
     )
-    tested = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
-    growth, looks = _relative_step_durations(history), len(steps) * max(len(tested), 1)
-    each = {k: _significant_steps_of(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested}
-    significant = sorted((i, k, usual, p) for k, entries in each.items() for i, usual, p in entries)
+    tested_parameters = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
+    growth, looks = _relative_step_durations(history), len(steps) * max(len(tested_parameters), 1)
+    steps_by_parameter = {
+        k: _significant_steps_of(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested_parameters
+    }
+    significant = sorted((i, k, usual, p) for k, entries in steps_by_parameter.items() for i, usual, p in entries)
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
@@ -86,31 +88,31 @@ def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
 
 def _relative_step_durations(history: CalibrationSeries) -> Floats:
     """Days of each step divided by their median; ones if the days are unknown."""
-    between = np.diff(history.days) if history.days is not None else np.zeros(0)
-    middle = float(np.median(between)) if len(between) else 0.0
-    return between / middle if middle > 0 else np.ones(len(history) - 1)
+    durations = np.diff(history.days) if history.days is not None else np.zeros(0)
+    median = float(np.median(durations)) if len(durations) else 0.0
+    return durations / median if median > 0 else np.ones(len(history) - 1)
 
 
 def _significant_steps_of(
-    difference: Floats, sigma: Floats, relative_durations: Floats, level: float
+    difference: Floats, sigma: Floats, relative_durations: Floats, alpha: float
 ) -> list[tuple[int, float, float]]:
     """Steps (K - 1,) of one parameter between calibrations that are significant: index, usual size, p-value."""
-    usual: Bools = np.ones(len(difference), dtype=bool)
+    is_usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
-    while usual.sum() > MIN_STEPS_FOR_TEST - 1:
-        steps = np.flatnonzero(usual)
+    while is_usual.sum() > MIN_STEPS_FOR_TEST - 1:
+        steps = np.flatnonzero(is_usual)
         judged = [_step_p_value(difference, sigma, relative_durations, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))
         p, spread = judged[best]
-        if p >= level:
+        if p >= alpha:
             break
-        usual[steps[best]] = False
+        is_usual[steps[best]] = False
         significant.append((int(steps[best]), spread, p))
     return significant
 
 
 def _step_p_value(
-    difference: Floats, sigma: Floats, relative_durations: Floats, step: int, others: Ints
+    difference: Floats, sigma: Floats, relative_durations: Floats, step_index: int, other_steps: Ints
 ) -> tuple[float, float]:
     """Two-sided p-value of a step relative to the spread of the others, and the usual size of a step."""
     likelihood, chance, usual = (
@@ -120,12 +122,14 @@ def _step_p_value(
     )
     for n, share in enumerate(TIME_GROWTH_FRACTIONS):
         shape = 1.0 - share + share * relative_durations
-        scale = _moment_variance(difference[others], sigma[others], shape[others])
+        scale = _moment_variance(difference[other_steps], sigma[other_steps], shape[other_steps])
         variance = sigma**2 + scale * shape
-        gap = difference[others] ** 2 / variance[others] + np.log(variance[others] / sigma[others] ** 2)
+        gap = difference[other_steps] ** 2 / variance[other_steps] + np.log(
+            variance[other_steps] / sigma[other_steps] ** 2
+        )
         likelihood[n] = -0.5 * float(np.sum(gap))
-        chance[n] = 2.0 * special.stdtr(len(others), -abs(difference[step]) / np.sqrt(variance[step]))
-        usual[n] = scale * shape[step]
+        chance[n] = 2.0 * special.stdtr(len(other_steps), -abs(difference[step_index]) / np.sqrt(variance[step_index]))
+        usual[n] = scale * shape[step_index]
     weight = np.exp(likelihood - likelihood.max())
     weight /= weight.sum()
     return float(weight @ chance), float(np.sqrt(weight @ usual))
@@ -140,12 +144,12 @@ def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floa
 
     if excess(0.0) <= 0:
         return 0.0
-    highest = float(np.sum(difference**2))
-    while excess(highest) > 0:  # steps without time between them have no growing variance
-        if highest > MAX_RELATIVE_VARIANCE * float(np.sum(difference**2)):
-            return highest
-        highest *= 10.0
-    return float(brentq(excess, 0.0, highest, rtol=1e-6))
+    upper_bound = float(np.sum(difference**2))
+    while excess(upper_bound) > 0:  # steps without time between them have no growing variance
+        if upper_bound > MAX_RELATIVE_VARIANCE * float(np.sum(difference**2)):
+            return upper_bound
+        upper_bound *= 10.0
+    return float(brentq(excess, 0.0, upper_bound, rtol=1e-6))
 
 
 MAX_RELATIVE_VARIANCE = 1e6

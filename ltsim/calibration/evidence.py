@@ -48,7 +48,7 @@ class LikelihoodInformation:
 
 
 def likelihood_information(
-    values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
+    estimates: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
 ) -> LikelihoodInformation:
     """Likelihood information of estimates (p,) with covariance (p, p) and priors (p,) about 0, in units (p,) [SI]."""
     prior = prior_sigma / unit
@@ -58,7 +58,7 @@ def likelihood_information(
     inverse = np.where(informative, 1.0 / np.where(informative, shares, 1.0), 0.0)
     basis = vectors / prior[:, None]
     information = (basis * np.where(informative, inverse - 1.0, 0.0)) @ basis.T
-    information_vector = (basis * inverse) @ basis.T @ (values / unit)
+    information_vector = (basis * inverse) @ basis.T @ (estimates / unit)
     return LikelihoodInformation(0.5 * (remaining + remaining.T), information, information_vector)
 
 
@@ -87,39 +87,39 @@ def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float
     A change is added while one scores more than `min_score`; after each addition every earlier one is replaced by the
     best change given the others.
     """
-    selected: dict[int, Floats] = {}
-    while (values := scores(selected)).max(initial=-np.inf) > min_score:
-        selected[int(np.argmax(values))] = values
-        for previous in list(selected)[:-1]:
-            values = scores([k for k in selected if k != previous])
-            del selected[previous]
-            selected[int(np.argmax(values))] = values
-    return selected
+    odds_by_index: dict[int, Floats] = {}
+    while (values := scores(odds_by_index)).max(initial=-np.inf) > min_score:
+        odds_by_index[int(np.argmax(values))] = values
+        for previous in list(odds_by_index)[:-1]:
+            values = scores([k for k in odds_by_index if k != previous])
+            del odds_by_index[previous]
+            odds_by_index[int(np.argmax(values))] = values
+    return odds_by_index
 
 
 def with_plausible_priors(
-    parameters: Sequence[Parameter], values: Floats, covariance: Floats, prior_sigma: Floats
+    parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
-    free = np.flatnonzero(np.diag(covariance) > 0)
-    unit, block = np.array([p.prior_sigma for p in parameters])[free], np.ix_(free, free)
-    if np.array_equal(unit, prior_sigma[free]):
-        return values, covariance
-    likelihood = likelihood_information(values[free], covariance[block], prior_sigma[free], unit)
-    posterior_covariance, values, covariance = (
-        np.linalg.inv(likelihood.information + np.eye(len(free))),
-        values.copy(),
+    """Estimates (p,) and covariance (p, p) [SI] under priors of plausible size, as tight ones conceal combinations."""
+    free_indices = np.flatnonzero(np.diag(covariance) > 0)
+    unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
+    if np.array_equal(unit, prior_sigma[free_indices]):
+        return estimates, covariance
+    likelihood = likelihood_information(estimates[free_indices], covariance[block], prior_sigma[free_indices], unit)
+    posterior_covariance, estimates, covariance = (
+        np.linalg.inv(likelihood.information + np.eye(len(free_indices))),
+        estimates.copy(),
         covariance.copy(),
     )
-    values[free], covariance[block] = (
+    estimates[free_indices], covariance[block] = (
         unit * (posterior_covariance @ likelihood.information_vector),
         posterior_covariance * np.outer(unit, unit),
     )
-    return values, covariance
+    return estimates, covariance
 
 
 def determined_combinations(
-    parameters: Sequence[Parameter], values: Floats, covariance: Floats
+    parameters: Sequence[Parameter], estimates: Floats, covariance: Floats
 ) -> list[DeterminedEntry]:
     """Combinations determined far better than each of their members, from values (p,) and covariance (p, p) [SI].
 
@@ -146,7 +146,7 @@ def determined_combinations(
             first = int(np.flatnonzero(np.abs(weights) > MIN_LEADING_WEIGHT * np.abs(weights).max())[0])
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
             combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
-            value, sigma = float(weights @ values[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
+            value, sigma = float(weights @ estimates[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
             entries.append(DeterminedEntry(combination=combination, value=value, sigma=sigma, unit=unit))
     return entries
 
@@ -178,12 +178,12 @@ def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
                 yield match["front"].rstrip("-_") + match["order"], i, list(names).index(sine)
 
 
-def harmonic_entries(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[HarmonicEntry]:
+def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covariance: Floats) -> list[HarmonicEntry]:
     """Amplitude and phase of every pair of a cosine and a sine coefficient; values (p,), covariance (p, p) [SI]."""
     entries = []
     for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]
-        amplitude, sigma, phase, spread = amplitude_and_phase(values[at], covariance[np.ix_(at, at)])
+        amplitude, sigma, phase, spread = amplitude_and_phase(estimates[at], covariance[np.ix_(at, at)])
         entries.append(
             HarmonicEntry(
                 name=name,
@@ -197,15 +197,15 @@ def harmonic_entries(parameters: Sequence[Parameter], values: Floats, covariance
     return entries
 
 
-def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
+def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity for none."""
     total: Floats
-    if values.size <= MAX_SINGLE_CALL_ENTRIES:
-        total = np.logaddexp.reduce(values, axis=axis)
+    if logarithms.size <= MAX_SINGLE_CALL_ENTRIES:
+        total = np.logaddexp.reduce(logarithms, axis=axis)
         return total
-    top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
+    top = np.nan_to_num(logarithms.max(axis=axis, keepdims=True), neginf=0.0)
     with np.errstate(divide="ignore"):
-        total = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
+        total = np.log(np.exp(logarithms - top).sum(axis=axis)) + top.squeeze(axis)
     return total
 
 

@@ -60,20 +60,20 @@ class RequestedEffect:
         """All instances of the effect that agree with the fixed fields."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
-        same = [
+        matching = [
             c
             for c in self.effect.candidates(adjustment.sightings)
             if all(getattr(c, key) == getattr(self.effect, key) for key in self.fixed_fields)
         ]
-        if same:
-            return same
-        free = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
-        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free))
+        if matching:
+            return matching
+        free_shapes = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
+        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free_shapes))
         return [self.effect.with_constants(**dict(shape)) for shape in grids]
 
 
 def fit_with_extra_effects(
-    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     unreported_effects: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
@@ -81,7 +81,7 @@ def fit_with_extra_effects(
 
     `unreported_effects` effects are estimated first and are not reported.
     """
-    adjustment, fits = adjusted(unreported_effects), list[FittedEffectEntry]()
+    adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
     for wanted in extra_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
@@ -91,7 +91,7 @@ def fit_with_extra_effects(
         freedom, before = space.chi2_drop(space.whitened_signature(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
-            adjustment, fit = _refit_with_best_constants(adjusted, [*fit.effects, best], fixed)
+            adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
         place = "" if isinstance(estimated, EmpiricalLaw) and estimated.is_per_setup else estimated.place_text
         drop = max(before - adjustment.chi2, 0.0)
@@ -115,15 +115,15 @@ def fit_with_extra_effects(
 
 
 def _refit_with_best_constants(
-    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    adjust_with: Callable[[Sequence[CandidateEffect]], Adjustment],
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects at their best constants, and the refit with its readings and weights."""
     for _ in range(MAX_REFIT_PASSES):
-        adjustment = adjusted(effects)
+        adjustment = adjust_with(effects)
         near = adjustment.with_effects
-        fit = refit_with_effects(near, effects, start=adjustment.state, fixed=fixed_fields)
+        fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_constants=fixed_fields)
         if fit.effects == tuple(effects):
             break
         effects = fit.effects
@@ -134,14 +134,14 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    driver = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
-    return f"{effect.response.name} ~ {driver}{law_suffix(effect)}"
+    regressor_name = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
+    return f"{effect.response.name} ~ {regressor_name}{law_suffix(effect)}"
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Estimated sizes of a law among an adjustment's effects, one entry each."""
-    before = adjustment.effects[: adjustment.effects.index(law)]
-    first = sum(len(effect.parameters) for effect in before)
+    effects_before = adjustment.effects[: adjustment.effects.index(law)]
+    first = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first, first + len(law.parameters))
     sizes = displayed_sizes(
         law,
@@ -162,15 +162,15 @@ def _effect_entries(
         for key, value in vars(effect).items()
         if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
-    given = [
+    shape_entries = [
         _parameter_entry(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed_fields
     ]
     count = len(effect.parameters)
-    return (*numbers[:count], *words, *given, *numbers[count:])
+    return (*numbers[:count], *words, *shape_entries, *numbers[count:])
 
 
-def _parameter_entry(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
+def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
     """A number in its unit."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
-    return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)
+    return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)

@@ -69,8 +69,8 @@ def read_calibration(path: Path) -> Calibration:
     file = path / Calibration.FILE if path.is_dir() else path
     calibration = read_result(file, Calibration)
     _check_reflector_parameters(calibration, file)
-    given = calibration.parameters, calibration.parameter_covariance
-    arrays, missing = arrays_from_file_rows(calibration.construction_name, *given, file)
+    file_values = calibration.parameters, calibration.parameter_covariance
+    arrays, missing = arrays_from_file_rows(calibration.construction_name, *file_values, file)
     return calibration.with_arrays(
         arrays, warnings=(*_missing_parameters_warning(missing, file), *_rejected_fit_warning(calibration, file))
     )
@@ -78,15 +78,15 @@ def read_calibration(path: Path) -> Calibration:
 
 def _check_reflector_parameters(content: Calibration, file: Path) -> None:
     """Check that parameters of reflectors are those of `smr-incidence` in their units; raises RecordError."""
-    expected = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
+    unit_by_name = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in content.reflectors:
         for row in entry.parameters:
-            if row.name not in expected:
-                unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(expected))
+            if row.name not in unit_by_name:
+                unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(unit_by_name))
                 raise RecordError(f"reflectors: {unknown}", file=file)
-            if row.unit != expected[row.name] or isinstance(row.value, str):
+            if row.unit != unit_by_name[row.name] or isinstance(row.value, str):
                 problem = f"{quoted_text(row.name)} is '{quoted_text(str(row.value))} {quoted_text(row.unit)}'"
-                raise RecordError(f"reflectors: {problem}; expected a number in {expected[row.name]}", file=file)
+                raise RecordError(f"reflectors: {problem}; expected a number in {unit_by_name[row.name]}", file=file)
 
 
 def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
@@ -104,5 +104,5 @@ def _missing_parameters_warning(names: list[str], file: Path) -> tuple[str, ...]
     """Warning about parameters that a file lacks; empty if there are none."""
     if not names:
         return ()
-    which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
-    return (f"{file}: {which} not in the file and taken as zero: {listing(names)}",)
+    phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
+    return (f"{file}: {phrase} not in the file and taken as zero: {listing(names)}",)

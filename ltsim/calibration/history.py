@@ -123,7 +123,7 @@ class History(ResultFile):
     def from_series(cls, series: CalibrationSeries) -> Self:
         """Result of a series, with parameters in units of display."""
         factors = np.array([p.si_per_display_unit for p in series.construction.parameters])
-        made = cls(
+        result = cls(
             construction=series.construction.name,
             calibrations=tuple(
                 HistoryCalibration(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
@@ -136,8 +136,8 @@ class History(ResultFile):
             events=significant_steps(series),
             since_first=series.change(0, len(series) - 1),
         )
-        made._series = series
-        return made
+        result._series = series
+        return result
 
     @property
     def series(self) -> CalibrationSeries:
@@ -175,14 +175,14 @@ class History(ResultFile):
             ),
         }
 
-    def _table_by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> ColumnValues:
+    def _table_by_calibration(self, rows: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter."""
-        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, numbers, strict=True)}
+        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, rows, strict=True)}
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:
         """Changes from each calibration to the next, and from the first to the last."""
-        every = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
+        candidates = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
         return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
                 c.from_,
@@ -192,7 +192,7 @@ class History(ResultFile):
                 c.dof,
                 c.p_value,
             ]
-            for c in every
+            for c in candidates
         )
 
     def _parameters_table(self) -> Table:

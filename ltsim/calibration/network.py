@@ -68,22 +68,25 @@ def calibrate_network(
         Effects of the catalogue, and laws, that are also estimated.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
-    built = construction or declared_construction(recording)
+    model = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
-        wanted.require_estimable(recording, built)
-    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
-    expected = expected_sigmas(recording, built) if choose_correction else prior_sigmas(recording, built)
-    prior, history_prior = chosen.prior_with_sigma(expected, recording, built), chosen.earlier_calibrations is not None
+        wanted.require_estimable(recording, model)
+    modes = [RangeMode()] if model.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
+    expected_prior = expected_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
+    prior, history_prior = (
+        chosen.prior_with_sigma(expected_prior, recording, model),
+        chosen.earlier_calibrations is not None,
+    )
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ = "", True
     # A simple cause could absorb an effect that the user requests.
-    selection = identify_causes(recording, built, prior) if choose_correction and not extra_effects else None
+    selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
         adjusted = partial(
             _adjust_with_options,
             recording,
-            built,
+            model,
             robust,
             grouping,
             datum,
@@ -124,11 +127,11 @@ def calibrate_network(
             prior_widening_factor=wider,
             factor=factor,
         )
-        criteria = result.criteria_table(adjustment.recording, adjustment, built, applied_values)
+        criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
         changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
     calibration = calibration.with_changes(**changes)
-    quiet = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
-    notes = [*calibration.notes, *([quiet] if quiet_by else []), *prior_conflict_sentences(calibration)]
+    sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
+    notes = [*calibration.notes, *([sentence] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))
 
 
@@ -169,14 +172,14 @@ def adjust(
     (28, 7)
     """
     source = load_recording(recording)
-    chosen = None if datum is None else name_tuple(datum)
+    datum_names = None if datum is None else name_tuple(datum)
     selection = identify_causes(source)
     adjustment = _adjust_with_options(
-        source, ideal_construction(), robust, _noise_grouping(noise_from_data), chosen, selection=selection
+        source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
-    how = {"robust": robust, "tests": tests, "with_constants": constants}
-    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **how))
+    options = {"robust": robust, "tests": tests, "with_constants": constants}
+    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **options))
 
 
 def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
@@ -217,8 +220,7 @@ def _adjust_with_options(
         fit = selection.fit
         how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
         adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
-        causes = tuple(cause_sentence(fit, choice.hypothesis) for choice in selection.selected_hypotheses)
-        adjustment = replace(adjustment, cause_sentences=causes)
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
         require_usable(adjustment)
         return _require_available_datum(adjustment, datum)
     how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
@@ -232,7 +234,14 @@ def _adjust_with_options(
         )
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
     require_usable(adjustment)
+    if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
     return _require_available_datum(adjustment, datum)
+
+
+def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
+    """Sentences on the selected causes, the most certain first."""
+    return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
@@ -246,10 +255,12 @@ def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any
 ) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
-    at = adjustment.problem.unknowns.instrument_columns.ravel()
-    held = adjustment.problem.prior.is_fixed
-    free = ~held.ravel()
-    covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
+    columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
+    is_fixed = adjustment.problem.prior.is_fixed
+    is_free = ~is_fixed.ravel()
+    covariance = np.where(
+        is_free[:, None] & is_free, adjustment.reduced_covariance[columns_of_free[:, None], columns_of_free], 0.0
+    )
     prior = adjustment.problem.prior.sigma
     values, directions = adjustment.state.instrument_parameters, result.undetermined_directions(covariance, prior)
     arrays = CalibrationArrays(
@@ -258,7 +269,7 @@ def _make_calibration(
         estimates=values,
         prior_sigma=prior,
         covariance=covariance,
-        is_fixed=held,
+        is_fixed=is_fixed,
         target_names=recording.targets,
         target_points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance,

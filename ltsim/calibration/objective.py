@@ -65,9 +65,9 @@ class DistanceProblem:
         """Matrix (M, n) that averages repeats to one point per set and target; set and target of each point (M, 2)."""
         count = len(self.recording.targets)
         key = self.set_numbers * count + self.recording.target
-        whole = np.flatnonzero(self.recording.is_measured.all(axis=1))
-        keys, inverse, repeats = np.unique(key[whole], return_inverse=True, return_counts=True)
-        entries = (1.0 / repeats[inverse], (inverse, whole))
+        complete_rows = np.flatnonzero(self.recording.is_measured.all(axis=1))
+        keys, inverse, repeats = np.unique(key[complete_rows], return_inverse=True, return_counts=True)
+        entries = (1.0 / repeats[inverse], (inverse, complete_rows))
         matrix = sp.csr_array(sp.coo_array(entries, shape=(len(keys), len(key))))
         return matrix, np.stack([keys // count, keys % count], axis=1)
 
@@ -81,9 +81,9 @@ class DistanceProblem:
         self._check_matrix_size(len(a))
         return a, b, target[a] * len(self.recording.targets) + target[b]
 
-    def _check_matrix_size(self, count: int) -> None:
-        if count * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
-            raise NetworkError(f"the distance objective has {count} distances, too many; use the network method")
+    def _check_matrix_size(self, n_rows: int) -> None:
+        if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
+            raise NetworkError(f"the distance objective has {n_rows} distances, too many; use the network method")
 
     def distances_at(self, unknowns: Floats) -> SetDistances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""
@@ -119,14 +119,14 @@ class DistanceProblem:
         """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""
         recording, (count, size) = self.recording, self.prior_sigma.shape
         values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
-        raw = np.where(recording.is_measured, readings, 1.0)
-        which = recording.instrument
-        point, by_reading, by_value = self.construction.linearise(raw, values[which])
-        wide = np.zeros((len(raw), 3, count * size))
+        raw_readings = np.where(recording.is_measured, readings, 1.0)
+        index = recording.instrument
+        point, by_reading, by_value = self.construction.linearise(raw_readings, values[index])
+        design = np.zeros((len(raw_readings), 3, count * size))
         for i in range(count):
-            rows = which == i
-            wide[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
-        return point, by_reading * recording.sigma()[:, None, :], wide
+            rows = index == i
+            design[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
+        return point, by_reading * recording.sigma()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
         """Derivative (D, 3 n) of the distances by the whitened readings."""
@@ -145,9 +145,9 @@ class DistanceProblem:
     def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
         """Rows of `distances` with a reference length, and its index."""
         count = len(self.recording.targets)
-        low = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
-        high = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
-        index = {int(key): i for i, key in enumerate(low * count + high)}
+        lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
+        upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
+        index = {int(key): i for i, key in enumerate(lower_targets * count + upper_targets)}
         which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
         rows = np.flatnonzero(which >= 0)
         return rows, which[rows]

@@ -56,23 +56,23 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     unit, used_sigma = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
     gap = (adjustment.state.instrument_parameters - prior.mean).ravel()[free]
     likelihood = likelihood_information(gap, adjustment.constants_covariance[np.ix_(free, free)], used_sigma, unit)
-    common = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
-    ways = np.concatenate([np.eye(rejected.size)[free], common])[:, free]
+    common_changes = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
+    ways = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
-    def log_odds_given(others: Collection[int]) -> Floats:
+    def log_odds_given(other_changes: Collection[int]) -> Floats:
         """Log odds (h,) of each change given others, to 0.1 so that of equivalent changes the first is selected."""
-        given = WIDENED_SIGMA_FACTOR * ways[list(others)]
+        given_changes = WIDENED_SIGMA_FACTOR * ways[list(other_changes)]
         score, weight = score_test(
-            likelihood.information, likelihood.information_vector, np.eye(len(free)) + given.T @ given
+            likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
         )
         strength = np.einsum("hi,ij,hj->h", ways, weight, ways)
-        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(ways)), list(others))
+        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(ways)), list(other_changes))
         estimate = ways @ score / np.where(informative, strength, np.inf)
         odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
-    chosen = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
-    rejected.flat[free] = ways[chosen].any(axis=0)
+    indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
+    rejected.flat[free] = ways[indices].any(axis=0)
     return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
 
 
@@ -104,18 +104,18 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     deviation = ((calibration.estimates - prior.mean) / calibration.prior_sigma).ravel()
     w = _normalised_deviations(deviation, gain) / scale
     odds = log_odds_of_errors(w, gain, freed.size + size * (len(freed) > 1))
-    worst = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
-    if not worst:
+    contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
+    if not contradictions:
         return (*sentences, *_combination_sentence(calibration, prior, scale))
-    for k in worst[:MAX_SENTENCES]:
+    for k in contradictions[:MAX_SENTENCES]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
             f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, state a larger sigma in "
             "[instrument.prior.parameters]"
         )
-    if len(worst) > MAX_SENTENCES:
-        sentences.append(f"{len(worst) - MAX_SENTENCES} more parameters contradict their prior")
+    if len(contradictions) > MAX_SENTENCES:
+        sentences.append(f"{len(contradictions) - MAX_SENTENCES} more parameters contradict their prior")
     return tuple(sentences)
 
 
@@ -131,9 +131,13 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
     )
 
 
-def _normalised_deviations(deviation: Floats, gain: Floats) -> Floats:
+def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Floats:
     """Deviations (k,) from the prior in units of their standard deviation; 0 without information."""
-    return np.where(gain > MAX_UNINFORMATIVE_GAIN, deviation / np.sqrt(np.maximum(gain, MAX_UNINFORMATIVE_GAIN)), 0.0)
+    return np.where(
+        information_gain > MAX_UNINFORMATIVE_GAIN,
+        deviation / np.sqrt(np.maximum(information_gain, MAX_UNINFORMATIVE_GAIN)),
+        0.0,
+    )
 
 
 def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:

@@ -53,8 +53,8 @@ class EarlierCalibrations:
             return cls._from_history(source)
         path = Path(source)
         names = (Calibration.FILE, History.FILE)
-        held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
-        file = held[0] if path.is_dir() else path
+        existing_files = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
+        file = existing_files[0] if path.is_dir() else path
         if str(read_json(file, Calibration.FILE).get("format", "")).startswith("ltsim-history/"):
             return cls._from_history(read_result(file, History), file)
         return cls._from_calibration(read_calibration(file))
@@ -62,18 +62,18 @@ class EarlierCalibrations:
     @classmethod
     def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
         """Prior information of a calibration without its fixed parameters."""
-        free = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
+        free_indices = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
         count, size = calibration.estimates.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
-        covariances = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
-        names = tuple(calibration.construction.parameter_names[k] for k in free)
+        covariances = np.stack([blocks[i, :, i][np.ix_(free_indices, free_indices)] for i in range(count)])
+        names = tuple(calibration.construction.parameter_names[k] for k in free_indices)
         return cls(
             calibration.construction.name,
             names,
             calibration.instruments,
-            calibration.estimates[:, free],
+            calibration.estimates[:, free_indices],
             covariances,
-            np.zeros(len(free)),
+            np.zeros(len(free_indices)),
         )
 
     @classmethod
@@ -91,32 +91,32 @@ class EarlierCalibrations:
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
     def replace_nominal_prior(
-        self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
+        self, nominal_prior: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
     ) -> ParameterPrior:
-        """Prior of a recording's instruments: the earlier calibrations' if they contain the parameter, else `nominal`.
+        """Prior of a recording's instruments: that of the earlier calibrations, or the nominal one of others.
 
         Raises
         ------
         RecordError
             For another construction or other instruments.
         """
-        common = [name for name in construction.parameter_names if name in self.parameters]
-        if not common:
+        common_names = [name for name in construction.parameter_names if name in self.parameters]
+        if not common_names:
             raise RecordError(
                 f"the construction {self.construction} of the earlier calibrations has no parameter of "
                 f"{construction.name}"
             )
-        here = [construction.parameter_names.index(name) for name in common]
-        there = [self.parameters.index(name) for name in common]
-        mean, covariance = nominal.mean.copy(), nominal.covariance.copy()
+        new_indices = [construction.parameter_names.index(name) for name in common_names]
+        their_indices = [self.parameters.index(name) for name in common_names]
+        mean, covariance = nominal_prior.mean.copy(), nominal_prior.covariance.copy()
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
                 names = ", ".join(self.instruments)
                 raise RecordError(f"earlier calibrations have the instruments {names}, not '{name}'")
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
-            mean[i, here] = self.mean[k, there]
-            covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
-        return ParameterPrior(mean, covariance, nominal.is_fixed)
+            mean[i, new_indices] = self.mean[k, their_indices]
+            covariance[i][np.ix_(new_indices, new_indices)] = self.covariance[k][np.ix_(their_indices, their_indices)]
+        return ParameterPrior(mean, covariance, nominal_prior.is_fixed)
 
 
 @dataclass(frozen=True)
@@ -146,37 +146,39 @@ class ParameterSelection:
     def prior_with_sigma(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
         """Resulting prior of a recording's instruments for expected standard deviations (I, p) [SI]."""
         check_prior_names(recording, construction)
-        nominal = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
+        nominal_prior = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
         if self.earlier_calibrations is not None:
-            nominal = self.earlier_calibrations.replace_nominal_prior(nominal, construction, recording.instruments)
+            nominal_prior = self.earlier_calibrations.replace_nominal_prior(
+                nominal_prior, construction, recording.instruments
+            )
 
-        def places(*wanted: str) -> list[int]:
+        def places(*pattern: str) -> list[int]:
             return [
                 k
-                for name in wanted
+                for name in pattern
                 for k in flat_parameter_indices(name, construction.parameter_names, recording.instruments)
             ]
 
-        held = np.zeros(nominal.mean.shape, dtype=bool)
-        values = np.zeros(nominal.mean.shape)
+        is_fixed = np.zeros(nominal_prior.mean.shape, dtype=bool)
+        values = np.zeros(nominal_prior.mean.shape)
         if self.estimated_parameters is not None:
-            held[:] = True
-            held.flat[places(*self.estimated_parameters)] = False
-        held.flat[places(*self.excluded_parameters)] = True
+            is_fixed[:] = True
+            is_fixed.flat[places(*self.estimated_parameters)] = False
+        is_fixed.flat[places(*self.excluded_parameters)] = True
         for name, value in self.fixed_values.items():
             at = places(name)
             if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
-            held.flat[at] = True
+            is_fixed.flat[at] = True
             values.flat[at] = (
                 float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
             )
-        if held.all():
+        if is_fixed.all():
             raise ModelError("all parameters are held; leave at least one to estimate")
         # Held parameters carry no information on the others.
-        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
-        covariance[(held[:, :, None] | held[:, None, :]) & ~diagonal] = 0.0
-        return ParameterPrior(np.where(held, values, nominal.mean), covariance, held)
+        covariance, diagonal = nominal_prior.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
+        covariance[(is_fixed[:, :, None] | is_fixed[:, None, :]) & ~diagonal] = 0.0
+        return ParameterPrior(np.where(is_fixed, values, nominal_prior.mean), covariance, is_fixed)
 
 
 def flat_parameter_indices(
@@ -190,8 +192,8 @@ def flat_parameter_indices(
     matches = matches or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
     if not matches:
         raise unknown_name("parameter", name, parameters)
-    chosen = [instruments.index(instrument)] if at else range(len(instruments))
-    return [i * len(parameters) + k for i in chosen for k in matches]
+    instrument_indices = [instruments.index(instrument)] if at else range(len(instruments))
+    return [i * len(parameters) + k for i in instrument_indices for k in matches]
 
 
 def check_prior_names(recording: Recording, construction: Construction) -> None:

@@ -39,8 +39,8 @@ def uncertainty_factor(fit: FitEntry, *, is_noise_estimated: bool | None = None)
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
-    rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
-    return fit.sigma0 if (rejected if is_noise_estimated is None else is_noise_estimated) else 1.0
+    is_rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
+    return fit.sigma0 if (is_rejected if is_noise_estimated is None else is_noise_estimated) else 1.0
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
@@ -83,18 +83,18 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
     factor squared.
     """
     covariance, adjustment = calibration.covariance, calibration.adjustment
-    free = np.flatnonzero(~calibration.is_fixed.ravel())
-    if factor == 1.0 or not len(free) or adjustment is None:
+    free_indices = np.flatnonzero(~calibration.is_fixed.ravel())
+    if factor == 1.0 or not len(free_indices) or adjustment is None:
         return covariance
     if calibration.method != "network":
         return factor**2 * covariance
-    root = block_diag(*adjustment.problem.prior.whitening_matrices)[np.ix_(free, free)]
-    size, basis = np.linalg.eigh(root @ covariance[np.ix_(free, free)] @ root.T)
+    root = block_diag(*adjustment.problem.prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
+    size, basis = np.linalg.eigh(root @ covariance[np.ix_(free_indices, free_indices)] @ root.T)
     size = np.clip(size, np.finfo(np.float64).tiny, 1.0)
-    wider = np.linalg.solve(root, basis * np.sqrt(1.0 / (1.0 + (1.0 / size - 1.0) / factor**2)))
-    scaled = np.zeros_like(covariance)
-    scaled[np.ix_(free, free)] = wider @ wider.T
-    return scaled
+    widened_root = np.linalg.solve(root, basis * np.sqrt(1.0 / (1.0 + (1.0 / size - 1.0) / factor**2)))
+    new_covariance = np.zeros_like(covariance)
+    new_covariance[np.ix_(free_indices, free_indices)] = widened_root @ widened_root.T
+    return new_covariance
 
 
 def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
@@ -121,10 +121,10 @@ def _scaled_fitted_entry(entry: FittedEntryType, factor: float) -> FittedEntryTy
 def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
     """Errors without effect on the readings that move targets by a relevant part of their standard deviation."""
     variance = np.einsum("tii->t", covariance)
-    determined = np.isfinite(variance)
-    if not determined.any():
+    is_determined = np.isfinite(variance)
+    if not is_determined.any():
         return ()
-    usual, sizes = np.sqrt(np.mean(variance[determined])), hidden_displacements(adjustment)
+    usual, sizes = np.sqrt(np.mean(variance[is_determined])), hidden_displacements(adjustment)
     return tuple(
         HiddenError(source_text=name, target_error_um=size / MICROMETRE)
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])

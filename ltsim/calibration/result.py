@@ -105,12 +105,12 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, size: float, w: float, **more: Any) -> OutlierRow:
+    def row(i: int, column: int, size: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
-        return OutlierRow(size=size / factor, w=w, **named, **more)
+        return OutlierRow(size=size / factor, w=w, **named, **other_fields)
 
     rows = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
@@ -285,7 +285,7 @@ def frame_text(adjustment: Adjustment) -> str:
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
 
 
-def _free_frame_text(adjustment: Adjustment, first: str) -> str:
+def _free_frame_text(adjustment: Adjustment, station: str) -> str:
     """Description of the frame that fixes the motions which no observation determines."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
@@ -293,8 +293,8 @@ def _free_frame_text(adjustment: Adjustment, first: str) -> str:
         axes = "the axes and the scale" if len(adjustment.problem.structure.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
-        return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {first}"
-    return f"the frame of station {first}"
+        return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {station}"
+    return f"the frame of station {station}"
 
 
 def _has_declared_datum_points(adjustment: Adjustment) -> bool:

@@ -322,12 +322,12 @@ class FittedEffectEntry(Entry):
         name = self.effect + (f" at {self.place_text}" if self.place_text else "")
         if not self.n_distinguishable_parameters:
             return f"{name}: poses, targets and parameters absorb it in this recording; it was not estimated"
-        shown = ", ".join(
+        phrase = ", ".join(
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
-        tried = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
-        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{tried})"
+        candidates_text = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
+        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{candidates_text})"
 
 
 class ReflectorEntry(Entry):
@@ -372,7 +372,7 @@ STATION_COORDINATES_TABLE = Table(
     "coordinates as a page shows them",
     (
         *texts(name="of the target or station"),
-        *numbers(shown=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+        *numbers(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
         *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
     ),
 )

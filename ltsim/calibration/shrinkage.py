@@ -78,34 +78,34 @@ def recommend_correction(
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
-    free = np.flatnonzero(~held)
-    gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
-    used = np.setdiff1d(free, gone)
-    root = block_diag(*prior.whitening_matrices)[np.ix_(free, free)]
-    at = adjustment.problem.unknowns.instrument_columns.ravel()[free]
-    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(at, at)] @ root.T)
-    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free]
-    within = np.searchsorted(free, used)
+    free_indices = np.flatnonzero(~held)
+    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
+    used_terms = np.setdiff1d(free_indices, dropped_terms)
+    root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
+    columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
+    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
+    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free_indices]
+    used_positions = np.searchsorted(free_indices, used_terms)
     unit = prior_widening_factor or 1.0
-    spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
-    information = (precision[np.ix_(within, within)] - np.eye(len(used))) / (factor * unit) ** 2
+    spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
+    information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / (factor * unit) ** 2
     least, is_free = (1.0 if history_prior else 0.0), prior_widening_factor is not None
-    rest = sigma0_of_readings(adjustment)
+    sigma0 = sigma0_of_readings(adjustment)
     evidence = ScaledPrior(
-        information, vector[within] / (factor**2 * unit), min_scale=least, is_free=is_free, sigma0=rest
+        information, vector[used_positions] / (factor**2 * unit), min_scale=least, is_free=is_free, sigma0=sigma0
     )
-    by_unit = spread.T @ point_error_form(adjustment)[np.ix_(used, used)] @ spread
-    middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
-    applied, note = evidence.shrunk_correction(by_unit, middle)
-    before, after = evidence.point_errors(by_unit, applied, middle)
-    not_applied = tuple(names[k] for k in gone)
+    by_unit = spread.T @ point_error_form(adjustment)[np.ix_(used_terms, used_terms)] @ spread
+    weighted_mean: Floats = np.asarray(np.linalg.solve(spread, mean[used_terms]), dtype=np.float64)
+    applied, note = evidence.shrunk_correction(by_unit, weighted_mean)
+    before, after = evidence.point_errors(by_unit, applied, weighted_mean)
+    not_applied = tuple(names[k] for k in dropped_terms)
     notes = [n for n in (evidence.scale_sentence, note) if n]
     if not_applied:
         words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     values = mean * held
-    values[used] = spread @ applied
+    values[used_terms] = spread @ applied
     correction = RecommendedCorrection(
         prior_scale=evidence.most_likely_scale,
         plausible_scale=evidence.plausible_scale_limits,
@@ -161,24 +161,24 @@ class ScaledPrior:
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
         """Smallest and largest plausible scale."""
-        near = np.flatnonzero(
+        near_indices = np.flatnonzero(
             self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE
         )
-        return float(self._scales[near[0]]), float(self._scales[near[-1]])
+        return float(self._scales[near_indices[0]]), float(self._scales[near_indices[-1]])
 
     @property
     def rejects_declared_scale(self) -> bool:
         """True if the readings reject the declared scale."""
-        nominal = int(np.argmin(np.abs(np.log(self._scales))))
+        nominal_index = int(np.argmin(np.abs(np.log(self._scales))))
         return bool(
-            self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal]
+            self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal_index]
             > MIN_LOG_LIKELIHOOD_EXCESS_REJECTED
         )
 
     @property
     def _exceeds_plausible_scale(self) -> bool:
-        most = MAX_PRIOR_SCALE if self._sigma0 < MAX_SIGMA0_FOR_WIDENING else 1.0
-        return self.rejects_declared_scale and not self._is_free and self.most_likely_scale > most
+        max_scale = MAX_PRIOR_SCALE if self._sigma0 < MAX_SIGMA0_FOR_WIDENING else 1.0
+        return self.rejects_declared_scale and not self._is_free and self.most_likely_scale > max_scale
 
     @property
     def scale_of_applied_values(self) -> float:
@@ -195,7 +195,7 @@ class ScaledPrior:
         if not (self.rejects_declared_scale or self._is_free):
             return ""
         low, high = self.plausible_scale_limits
-        likely = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        scale_phrase = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
             why = ", which no instrument has" if self.most_likely_scale > MAX_PRIOR_SCALE else contradict
@@ -204,14 +204,14 @@ class ScaledPrior:
                 "another cause explains the misfit, and no correction is applied"
             )
         if not self._is_free:
-            return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
+            return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        applied = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
-        return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
+        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
+        return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others hardly"
 
-    def estimate(self, scale: float) -> Floats:
+    def estimate(self, prior_scale: float) -> Floats:
         """Estimate (q,) under a scale."""
-        return self._basis @ (self._information_vector / (self._strength + scale**-2))
+        return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
         """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
@@ -234,27 +234,27 @@ class ScaledPrior:
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def point_errors(
-        self, point_error_form: Floats, applied: Floats, prior_mean: Floats | float = 0.0
+        self, point_error_form: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
         scale = self.scale_of_applied_values
         mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
-        rest = float(np.sum(spread * point_error_form))
-        missed = mean - applied
-        return float(np.sqrt(mean @ point_error_form @ mean + rest)), float(
-            np.sqrt(missed @ point_error_form @ missed + rest)
+        remaining_variance = float(np.sum(spread * point_error_form))
+        bias = mean - applied_values
+        return float(np.sqrt(mean @ point_error_form @ mean + remaining_variance)), float(
+            np.sqrt(bias @ point_error_form @ bias + remaining_variance)
         )
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
-    whole = recording.is_measured.all(axis=1)
-    if not whole.any():
+    is_complete = recording.is_measured.all(axis=1)
+    if not is_complete.any():
         return 0.0
-    (range_, _, elevation), (along, aside, above) = recording.readings[whole].T, sigma[whole].T
-    across = range_ * np.cos(elevation) * aside
-    return float(np.sqrt(np.mean(along**2 + across**2 + (range_ * above) ** 2)))
+    (range_, _, elevation), (along, aside, above) = recording.readings[is_complete].T, sigma[is_complete].T
+    transverse_noise = range_ * np.cos(elevation) * aside
+    return float(np.sqrt(np.mean(along**2 + transverse_noise**2 + (range_ * above) ** 2)))
 
 
 def point_error_form(adjustment: Adjustment) -> Floats:
@@ -266,9 +266,9 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
-    whole = recording.is_measured.all(axis=1)
+    is_complete = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
-        rows = np.flatnonzero(whole & (recording.station == number))
+        rows = np.flatnonzero(is_complete & (recording.station == number))
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
@@ -277,7 +277,7 @@ def point_error_form(adjustment: Adjustment) -> Floats:
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
-    return total / max(int(whole.sum()), 1)
+    return total / max(int(is_complete.sum()), 1)
 
 
 @dataclass(frozen=True)
@@ -299,18 +299,18 @@ class HeldOutTarget:
     estimate_shift: Floats
     """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
 
-    def sum_of_squares(self, values: Floats, fixed_indices: Ints) -> float:
+    def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
         """Sum of squares with the parameters `fixed_indices` at zero.
 
-        `values` (q,) are the estimates from all readings.
+        `parameters` (q,) are the estimates from all readings.
         """
         if not len(fixed_indices):
             return float(self.held_out_residual @ self.held_out_residual)
-        moved = np.linalg.solve(
+        change = np.linalg.solve(
             self.covariance[np.ix_(fixed_indices, fixed_indices)],
-            self.estimate_shift[fixed_indices] - values[fixed_indices],
+            self.estimate_shift[fixed_indices] - parameters[fixed_indices],
         )
-        residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ moved
+        residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ change
         return float(residual @ residual)
 
 
@@ -367,10 +367,10 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     row_target = np.concatenate(
         [adjustment.recording.target[np.nonzero(problem.used_readings)[0]], lengths, control_targets]
     )
-    eliminated = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
-    eliminated = eliminated[:: max(1, -(-len(eliminated) // MAX_HELD_OUT_TARGETS))]
+    target_indices = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
+    target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_HELD_OUT_TARGETS))]
     held_out = []
-    for target in eliminated.tolist():
+    for target in target_indices.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
             design = to_dense(system.design[rows])
@@ -390,8 +390,8 @@ def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
     covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
-    alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
-    by_parameter = alone @ spread[at].T
+    inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)
+    by_parameter = inverse @ spread[at].T
     parameter_covariance = covariance[np.ix_(at, at)] + spread[at] @ by_parameter
-    held_out_residual = alone @ residual
+    held_out_residual = inverse @ residual
     return HeldOutTarget(held_out_residual, by_parameter, parameter_covariance, spread[at] @ held_out_residual)

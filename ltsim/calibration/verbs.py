@@ -31,6 +31,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
 NO_PRIOR_OPTION = "none"
+"""Value of the option `prior` for a calibration without prior information."""
 
 
 def calibrate(
@@ -116,12 +117,14 @@ def calibrate(
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    free = isinstance(prior, str) and prior == NO_PRIOR_OPTION
-    earlier = None if prior is None or free else EarlierCalibrations.from_source(prior)
-    chosen = None if parameters is None else name_tuple(parameters)
-    choice = ParameterSelection(chosen, name_tuple(without), dict(hold or {}), earlier, free)
-    held = None if datum is None else name_tuple(datum)
-    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
+    has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
+    earlier_calibrations = None if prior is None or has_no_prior else EarlierCalibrations.from_source(prior)
+    parameter_names = None if parameters is None else name_tuple(parameters)
+    choice = ParameterSelection(
+        parameter_names, name_tuple(without), dict(hold or {}), earlier_calibrations, has_no_prior
+    )
+    datum_names = None if datum is None else name_tuple(datum)
+    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum_names}
     effects = effect_tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
@@ -155,8 +158,8 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
         raise ModelError(f"{effect_or_text.effect.name} has a size, as for simulate and inject; give it without a size")
     if isinstance(effect_or_text, str):
         return _parse_effect_text(effect_or_text, recording)
-    fixed = {f.name for f in fields(effect_or_text) if getattr(effect_or_text, f.name) != f.default}
-    return RequestedEffect(effect_or_text, frozenset(fixed))
+    fixed_names = {f.name for f in fields(effect_or_text) if getattr(effect_or_text, f.name) != f.default}
+    return RequestedEffect(effect_or_text, frozenset(fixed_names))
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
@@ -181,8 +184,8 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
-    fixed = {kind for kind, named in places.items() if named} | set(constants)
-    return RequestedEffect(make_effect(name.strip(), places, constants), frozenset(fixed))
+    fixed_names = {kind for kind, named in places.items() if named} | set(constants)
+    return RequestedEffect(make_effect(name.strip(), places, constants), frozenset(fixed_names))
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:

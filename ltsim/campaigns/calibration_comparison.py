@@ -28,12 +28,12 @@ NEW_POINT_ERRORS_TABLE = Table(
     (
         *texts(calibration="its name"),
         *numbers(
-            shown=".1f",
+            display_format=".1f",
             error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
-        *numbers(shown=".3f", share_removed="of the mean square above the floor"),
+        *numbers(display_format=".3f", share_removed="of the mean square above the floor"),
     ),
 )
 
@@ -105,11 +105,11 @@ def compare_calibrations(
     >>> judged.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
-    here = scenario(source)
+    base_scenario = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
-    made, truth = measure_trial(make_geometry(here, seed), seed, trial)
-    named = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
-    for name, calibration in named.items():
+    made, truth = measure_trial(make_geometry(base_scenario, seed), seed, trial)
+    by_name = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
+    for name, calibration in by_name.items():
         readings = (
             calibration.adjustment.recording.readings
             if calibration.adjustment and calibration.method == "network"
@@ -117,22 +117,30 @@ def compare_calibrations(
         )
         if not _has_same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
-    if not named:
+    if not by_name:
         raise SetupError("there is no calibration to judge")
-    values = np.array([*truth.instrument_values.values()]).reshape(len(here.trackers_in_use), -1)
-    work = make_geometry(make_validation_scenario(str(validation_scenario), here, place), seed, VALIDATION_STREAM_KEY)
-    recording, there = measure_trial(work, seed, trial, values=values, stream_key=VALIDATION_STREAM_KEY)
+    values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
+    geometry = make_geometry(
+        make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY
+    )
+    recording, there = measure_trial(
+        geometry, seed, trial, true_instrument_errors=values, stream_key=VALIDATION_STREAM_KEY
+    )
 
     def error(points: Any) -> float:
         return cloud_error(recording, points, there.target_points)
 
-    raw = error(measured_points(recording))
-    floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
-    taken = (
-        named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
+    raw_errors = error(measured_points(recording))
+    floor = error(measured_points(recording, geometry.construction, values[geometry.sightings.instrument]))
+    calibration_by_name = (
+        by_name
+        if applied
+        else {name: calibration.with_changes(correction=None) for name, calibration in by_name.items()}
     )
-    corrected = {
+    corrected_by_name = {
         name: measured_points(correct(recording, calibration, allow_repeated=True, allow_rejected=True))
-        for name, calibration in taken.items()
+        for name, calibration in calibration_by_name.items()
     }
-    return NewPointErrors({name: CalibrationErrors(raw, error(points), floor) for name, points in corrected.items()})
+    return NewPointErrors(
+        {name: CalibrationErrors(raw_errors, error(points), floor) for name, points in corrected_by_name.items()}
+    )

@@ -67,7 +67,7 @@ class GeometryStack(CellTruth):
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
         """Stack of true geometries with the same sightings."""
         first = truths[0]
-        shared = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
+        shared_fields = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
@@ -77,7 +77,7 @@ class GeometryStack(CellTruth):
         rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
         rows[order[0]] = np.stack(order, axis=1)
         return cls(
-            **shared,
+            **shared_fields,
             state=NetworkState(position, rotation, points, first.state.instrument_parameters),
             truths=truths,
             row_of_pointing=rows,
@@ -89,11 +89,11 @@ class GeometryStack(CellTruth):
             np.stack([a[r] for a, r in zip(arrays, self.row_of_pointing.T, strict=True)], axis=-1)
         )
 
-    def array_of_trial(self, stacked: Floats, trial: int) -> Floats:
+    def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
         """Array (n, ...) of one trial from a stacked array (n, ..., B), in the trial's order of pointings."""
-        ordered = np.empty(stacked.shape[:-1])
-        ordered[self.row_of_pointing[:, trial]] = stacked[..., trial]
-        return ordered
+        trial_array = np.empty(stacked_array.shape[:-1])
+        trial_array[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
+        return trial_array
 
     @cached_property
     def nominal_readings(self) -> Floats:
@@ -115,38 +115,39 @@ class GeometryStack(CellTruth):
 
     def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by its parameters."""
-        flat = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
-        by_value = built.reading_design(flat, np.zeros(built.n_parameters))[1]
+        flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
+        by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.from_construction(built, flat).split_trials(len(self.truths)), np.ascontiguousarray(
+        return ChainProgram.from_construction(built, flattened).split_trials(len(self.truths)), np.ascontiguousarray(
             by_trial
         )
 
-    def _exact_deviations(self, values: Floats) -> Floats:
+    def _exact_deviations(self, true_parameters: Floats) -> Floats:
         which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
-        deviation = np.einsum("nckb,nkb->ncb", by_value, values[which])
-        compute_readings(program, which, self.local_points, self.reading_derivatives, values, deviation)
+        deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
+        compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
     def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
         """Random values of the trials with these numbers."""
-        each = StandardNormalSource(seed, numbers).single_trial_sources()
+        sources = StandardNormalSource(seed, numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
-            for truth, numbers_of_trial in zip(self.truths, each, strict=True)
+            for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
         ]
         values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact_deviations(values)
-        alone = tuple(
+        single_trials = tuple(
             truth.block_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         amounts = tuple(
-            np.concatenate(parts, axis=1) for parts in zip(*(block.effect_values for block in alone), strict=True)
+            np.concatenate(parts, axis=1)
+            for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
-        gauge_error = np.concatenate([block.length_errors for block in alone], axis=1)
-        deviation = self.gather(block.reading_deviations[:, :, 0] for block in alone)
-        return TrialBatch(numbers, values, amounts, deviation, gauge_error, alone)
+        gauge_error = np.concatenate([block.length_errors for block in single_trials], axis=1)
+        deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
+        return TrialBatch(numbers, values, amounts, deviation, gauge_error, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
@@ -187,13 +188,13 @@ class StackCalibrator(TrialCalibrator):
         """Calibrator of a single trial."""
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
+    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, len(block.single_trials)
         )
-        together = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(block, calibrated) if together else wanted
+        is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
+        remaining = self._calibrate_batch(block, calibrated) if is_batch else trial_numbers
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
@@ -204,15 +205,17 @@ class StackCalibrator(TrialCalibrator):
             calibrated.copy_trial(trial, single, 0)
         return calibrated
 
-    def _calibrate_batch(self, block: TrialBatch, calibrated: CalibratedBlock) -> Ints:
-        """Trials that the batch did not calibrate; results of the others are stored in `calibrated`."""
+    def _calibrate_batch(self, block: TrialBatch, results: CalibratedBlock) -> Ints:
+        """Trials that the batch did not calibrate; results of the others are stored in `results`."""
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
-        parts: list[BatchNetwork] = []
+        blocks: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
-            shared = SharedQuantities(parts[0], stack.reading_derivatives[..., k], by_value[..., k]) if parts else None
-            parts.append(
+            shared = (
+                SharedQuantities(blocks[0], stack.reading_derivatives[..., k], by_value[..., k]) if blocks else None
+            )
+            blocks.append(
                 BatchNetwork(
                     recording,
                     truth.state,
@@ -222,13 +225,13 @@ class StackCalibrator(TrialCalibrator):
                     adjusted_observables=truth.recorded_observables,
                 )
             )
-        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(parts))
+        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(blocks))
         try:
             fit = network.fit_trials(block.reading_deviations, block.length_errors)
         except SetupError:
-            return np.arange(len(parts))
-        status = np.zeros(len(parts), dtype=np.int64)
-        together = CalibratedBlock(
+            return np.arange(len(blocks))
+        status = np.zeros(len(blocks), dtype=np.int64)
+        batch_results = CalibratedBlock(
             fit.instrument_values,
             network.parameter_sigmas,
             fit.target_increments,
@@ -236,21 +239,21 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
-        for trial in np.flatnonzero(~doubtful):
-            calibrated.copy_trial(int(trial), together, int(trial))
-        return np.flatnonzero(doubtful)
+        is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
+        for trial in np.flatnonzero(~is_doubtful):
+            results.copy_trial(int(trial), batch_results, int(trial))
+        return np.flatnonzero(is_doubtful)
 
-    def largest_difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBlock) -> float:
+    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Difference between a trial and the full solver, as in `TrialCalibrator`."""
-        selected = slice(trial, trial + 1)
+        trial_slice = slice(trial, trial + 1)
         arrays = (
-            calibrated.instrument_values[..., selected],
-            calibrated.instrument_sigmas[..., trial],
-            calibrated.target_errors[..., selected],
+            results.instrument_values[..., trial_slice],
+            results.instrument_sigmas[..., trial],
+            results.target_errors[..., trial_slice],
         )
-        single = CalibratedBlock(*arrays, calibrated.chi2[selected], calibrated.status_indices[selected])
-        return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single)
+        single_block = CalibratedBlock(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
+        return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single_block)
 
 
 @dataclass(frozen=True)
@@ -297,9 +300,9 @@ class StackedNetwork(BatchNetwork):
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         count = 3 * len(self.recording)
-        flat = [part._extra_design.reshape(count, -1) for part in self.networks]
-        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flat], axis=0))
-        design = np.stack([design[rows] for design in flat])
+        flattened = [part._extra_design.reshape(count, -1) for part in self.networks]
+        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
+        design = np.stack([design[rows] for design in flattened])
         sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])
         return rows, design, design / sigma[:, :, None]
 

@@ -66,7 +66,7 @@ class WorkerSettings:
     """
 
     def __post_init__(self) -> None:
-        check_bounds(jobs=self.n_processes, required="jobs")
+        check_bounds(jobs=self.n_processes, required_argument="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
@@ -106,7 +106,7 @@ def run_campaign(
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, unchanged=not changes and tables is None)
+    sources = _input_files(campaign, cells, file, is_existing=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
@@ -134,15 +134,15 @@ def run_campaign(
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
-    spared = len(cells) * campaign.n_shards_per_cell - done - existing
-    if spared:
-        share = 100 * spared / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed: their cells had converged")
+    n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
+    if n_reused:
+        share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
+        notes.append(f"{folder}: {n_reused} shards ({share:.0f} % of all) were not needed: their cells had converged")
     return RunResult(folder, done, existing, tuple(notes))
 
 
 def _input_files(
-    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, unchanged: bool
+    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, is_existing: bool
 ) -> dict[str, bytes]:
     """Input files of the campaign, stored with its rows: scenarios, points, CAD files, the campaign file."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
@@ -154,26 +154,26 @@ def _input_files(
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: file.read_bytes() if unchanged else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE: file.read_bytes() if is_existing else to_toml(settings).encode()}
 
 
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
     """Notes on effects without influence; raises SetupError for an error that would stop every trial."""
-    idle = []
+    unused_settings = []
     for method in campaign.methods:
         estimated_construction(method)
         estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
-            idle += [
+            unused_settings += [
                 f"{where}: {note}" for note in ineffective_effect_notes(make_geometry(cell.scenario, campaign.seed))
             ]
             if cell.validation_scenario is not None:
                 make_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
-    return idle
+    return unused_settings
 
 
 def _extended_campaign(
@@ -213,8 +213,8 @@ def _extended_campaign(
             f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another --out"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
-    more = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
-    return campaign.model_copy(update=more), (*ordered, *remaining)
+    extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
+    return campaign.model_copy(update=extension), (*ordered, *remaining)
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:
@@ -256,14 +256,14 @@ def checkout_commit() -> str | None:
     not track the package, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
-    asked = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    git_arguments = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
         top, _, head = (
             subprocess.run(
-                ["git", *words], cwd=package, env=plain, capture_output=True, text=True, timeout=10, check=True
+                ["git", *words], cwd=package, env=environment, capture_output=True, text=True, timeout=10, check=True
             ).stdout.strip()
-            for words in asked
+            for words in git_arguments
         )
         return head if Path(top).samefile(package.parent) else None
     except (OSError, subprocess.SubprocessError):
@@ -298,12 +298,12 @@ def _pending_shards(
     store: CampaignFolder,
     campaign: CampaignFile,
     cells: Sequence[CampaignCell],
-    wanted: list[ShardKey],
+    shard_keys: list[ShardKey],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
     waiting, notes, digests = [], [], store.digests()
-    for cell, shard in wanted:
+    for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
         )
@@ -331,7 +331,7 @@ def _iterate_results(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
     """Computed shards in order of completion; existing rows of a shard are part of its task."""
-    given = (
+    pending_tasks = (
         replace(
             t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None
         )
@@ -339,11 +339,11 @@ def _iterate_results(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from run_parallel(run_task, ((task,) for task in given), jobs, ordered=False)
+        yield from run_parallel(run_task, ((task,) for task in pending_tasks), jobs, keeps_order=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_task)(task) for task in given)
+        yield from pool(delayed(run_task)(task) for task in pending_tasks)
 
 
 @contextmanager

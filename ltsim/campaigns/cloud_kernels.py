@@ -44,34 +44,34 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 
 @compile_function
-def _centre_cloud(cloud: Floats, used_targets: Bools, out: Floats) -> None:
-    out[:] = 0.0
+def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> None:
+    centred_cloud[:] = 0.0
     count = 0
     for k in range(len(cloud)):
         if used_targets[k]:
             count += 1
             for c in range(3):
-                for t in range(out.shape[1]):
-                    out[c, t] += cloud[k, c, t]
+                for t in range(centred_cloud.shape[1]):
+                    centred_cloud[c, t] += cloud[k, c, t]
     for c in range(3):
-        for t in range(out.shape[1]):
-            out[c, t] /= count
+        for t in range(centred_cloud.shape[1]):
+            centred_cloud[c, t] /= count
 
 
 @compile_function
-def align_rigidly(cloud: Floats, goal: Floats, used_targets: Bools, aligned: Floats) -> None:
+def align_rigidly(cloud: Floats, goal_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
     """Rigid least-squares alignment of a cloud (T, 3, B) to a goal, by the targets in use (T,)."""
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
     _centre_cloud(cloud, used_targets, middle)
-    _centre_cloud(goal, used_targets, aim)
+    _centre_cloud(goal_cloud, used_targets, aim)
     k = np.zeros((3, 3, trials))
     for i in range(len(cloud)):
         if used_targets[i]:
             for a in range(3):
                 for b in range(3):
                     for t in range(trials):
-                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (goal[i, b, t] - aim[b, t])
+                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (goal_cloud[i, b, t] - aim[b, t])
     turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
@@ -85,7 +85,7 @@ def align_rigidly(cloud: Floats, goal: Floats, used_targets: Bools, aligned: Flo
                 x = cloud[i, 0, t] - middle[0, t]
                 y = cloud[i, 1, t] - middle[1, t]
                 z = cloud[i, 2, t] - middle[2, t]
-                aligned[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
+                aligned_cloud[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
 
 
 @compile_function
@@ -124,43 +124,43 @@ def _rotation_step(correlation: Floats, step: Floats) -> None:
 
 
 @compile_function
-def _rotate_columns(r: Floats, columns: Floats) -> None:
+def _rotate_columns(rotations: Floats, columns: Floats) -> None:
     """Rotation of columns (3, 3, B) by rotations (3, 3, B), in place."""
     for b in range(3):
-        for t in range(r.shape[2]):
+        for t in range(rotations.shape[2]):
             x, y, z = columns[0, b, t], columns[1, b, t], columns[2, b, t]
-            columns[0, b, t] = r[0, 0, t] * x + r[0, 1, t] * y + r[0, 2, t] * z
-            columns[1, b, t] = r[1, 0, t] * x + r[1, 1, t] * y + r[1, 2, t] * z
-            columns[2, b, t] = r[2, 0, t] * x + r[2, 1, t] * y + r[2, 2, t] * z
+            columns[0, b, t] = rotations[0, 0, t] * x + rotations[0, 1, t] * y + rotations[0, 2, t] * z
+            columns[1, b, t] = rotations[1, 0, t] * x + rotations[1, 1, t] * y + rotations[1, 2, t] * z
+            columns[2, b, t] = rotations[2, 0, t] * x + rotations[2, 1, t] * y + rotations[2, 2, t] * z
 
 
 @compile_function
-def add_square_error(aligned: Floats, goal: Floats, used_targets: Bools, total: Floats) -> int:
-    """Number of targets in use; their squared distances between clouds (T, 3, B) are added to `total` (B,)."""
+def add_square_error(aligned_cloud: Floats, goal_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
+    """Number of targets in use; their squared distances between clouds (T, 3, B) are added to `square_sum` (B,)."""
     count = 0
-    for i in range(len(aligned)):
+    for i in range(len(aligned_cloud)):
         if used_targets[i]:
             count += 1
             for c in range(3):
-                for t in range(len(total)):
-                    gap = aligned[i, c, t] - goal[i, c, t]
-                    total[t] += gap * gap
+                for t in range(len(square_sum)):
+                    gap = aligned_cloud[i, c, t] - goal_cloud[i, c, t]
+                    square_sum[t] += gap * gap
     return count
 
 
 @compile_function
-def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
+def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
     """Mean and maximum (B,) [um], over pairs of targets, of the mean deviation of their distance between stations."""
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
-    mean[:], largest[:] = 0.0, 0.0
+    mean[:], maximum[:] = 0.0, 0.0
     pairs = 0
     for i in range(targets):
         for j in range(i + 1, targets):
             count = 0
             middle[:] = 0.0
             for s in range(stations):
-                if visible[s, i] and visible[s, j]:
+                if is_visible[s, i] and is_visible[s, j]:
                     a, b, row = clouds[s, i], clouds[s, j], length[count]
                     count += 1
                     for t in range(trials):
@@ -178,24 +178,24 @@ def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Fl
             for t in range(trials):
                 value = MICROMETRES_PER_METRE * part * spread[t]
                 mean[t] += value
-                largest[t] = max(largest[t], value)
+                maximum[t] = max(maximum[t], value)
     for t in range(trials):
         mean[t] /= pairs
 
 
 @compile_function
-def coordinate_criterion(aligned_clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
+def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
     """Mean and maximum (B,) [um], over targets, of the mean distance between their positions from two stations."""
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
-    mean[:], largest[:] = 0.0, 0.0
+    mean[:], maximum[:] = 0.0, 0.0
     n_used = 0
     for i in range(targets):
         count = 0
         spread[:] = 0.0
         for m in range(stations):
             for n in range(m + 1, stations):
-                if visible[m, i] and visible[n, i]:
+                if is_visible[m, i] and is_visible[n, i]:
                     count += 1
                     a, b = aligned_clouds[m, i], aligned_clouds[n, i]
                     for t in range(trials):
@@ -207,45 +207,59 @@ def coordinate_criterion(aligned_clouds: Floats, visible: Bools, mean: Floats, l
         for t in range(trials):
             value = MICROMETRES_PER_METRE * spread[t] / count
             mean[t] += value
-            largest[t] = max(largest[t], value)
+            maximum[t] = max(maximum[t], value)
     for t in range(trials):
         mean[t] /= n_used
 
 
 @compile_function
 def _add_line_force(
-    first: Floats, second: Floats, on_first: Floats, on_second: Floats, size: Floats, length: Floats
+    first_point: Floats,
+    second_point: Floats,
+    first_force: Floats,
+    second_force: Floats,
+    force_size: Floats,
+    length: Floats,
 ) -> None:
     """Addition of a force of size (B,) along the line between two points to the forces (3, B) on them."""
     for c in range(3):
-        for t in range(len(size)):
-            part = size[t] / length[t] * (first[c, t] - second[c, t])
-            on_first[c, t] += part
-            on_second[c, t] -= part
+        for t in range(len(force_size)):
+            part = force_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
+            first_force[c, t] += part
+            second_force[c, t] -= part
 
 
 @compile_function
-def _difference_vector(first: Floats, second: Floats, out: Floats) -> None:
-    for t in range(len(out)):
-        x, y, z = first[0, t] - second[0, t], first[1, t] - second[1, t], first[2, t] - second[2, t]
-        out[t] = np.sqrt(x * x + y * y + z * z)
+def _difference_vector(first_point: Floats, second_point: Floats, difference: Floats) -> None:
+    for t in range(len(difference)):
+        x, y, z = (
+            first_point[0, t] - second_point[0, t],
+            first_point[1, t] - second_point[1, t],
+            first_point[2, t] - second_point[2, t],
+        )
+        difference[t] = np.sqrt(x * x + y * y + z * z)
 
 
 @compile_function
-def _reference_length_index(gauge: Ints, i: int, j: int) -> int:
+def _reference_length_index(gauge: Ints, first_target: int, second_target: int) -> int:
     """Index of the reference length between a pair of targets; -1 for none."""
     for g in range(len(gauge)):
-        if (gauge[g, 0] == i and gauge[g, 1] == j) or (gauge[g, 0] == j and gauge[g, 1] == i):
+        if (gauge[g, 0] == first_target and gauge[g, 1] == second_target) or (
+            gauge[g, 0] == second_target and gauge[g, 1] == first_target
+        ):
             return g
     return -1
 
 
 @compile_function
-def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
+def distance_forces(
+    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats
+) -> None:
     """Half of the derivative of the objective with respect to the points of all sets, and the objective.
 
-    `clouds` (O, T, 3, B) [m] are the points of each set (station and face), `visible` (O, T) marks the measured ones,
-    and pairs of targets `gauge` (g, 2) have reference lengths (g, B). The results are added to `forces` (O, T, 3, B)
+    `clouds` (O, T, 3, B) [m] are the points of each set (station and face), `is_visible` (O, T) marks the measured
+    ones, and pairs of targets `gauge` (g, 2) have reference lengths (g, B). The results are added to `forces` (O, T, 3,
+    B)
     and `cost` (B,).
     """
     sets, targets, _, trials = clouds.shape
@@ -256,14 +270,14 @@ def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats,
             count = 0
             middle[:] = 0.0
             for s in range(sets):
-                if visible[s, i] and visible[s, j]:
+                if is_visible[s, i] and is_visible[s, j]:
                     _difference_vector(clouds[s, i], clouds[s, j], lengths[s])
                     count += 1
                     for t in range(trials):
                         middle[t] += lengths[s, t]
             gauge_index = _reference_length_index(gauge, i, j)
             for s in range(sets):
-                if not (visible[s, i] and visible[s, j]):
+                if not (is_visible[s, i] and is_visible[s, j]):
                     continue
                 for t in range(trials):
                     gap = lengths[s, t] - middle[t] / count

@@ -48,23 +48,29 @@ def parameter_labels(
     return labels
 
 
-def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> ResultColumns:
+def parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
     """Columns of parameters (P, B) [SI] in units of display, such as ``estimate:beam-tilt``."""
     return {
         f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
-        for label, row in zip(labels, values, strict=True)
+        for label, row in zip(labels, parameters, strict=True)
     }
 
 
 def z_score_columns(
-    labels: Sequence[ParameterLabel], values: Floats, sigma: Floats, true_labels: Sequence[ParameterLabel], true: Floats
+    labels: Sequence[ParameterLabel],
+    estimates: Floats,
+    sigma: Floats,
+    true_labels: Sequence[ParameterLabel],
+    truths: Floats,
 ) -> ResultColumns:
     """Columns of z-scores, (estimate - truth) / sigma, of those parameters (P, B) that have a true value."""
-    true_values = {(label.text, label.effect): true_value for label, true_value in zip(true_labels, true, strict=True)}
+    true_values = {
+        (label.text, label.effect): true_value for label, true_value in zip(true_labels, truths, strict=True)
+    }
     with np.errstate(divide="ignore", invalid="ignore"):
         return {
             f"z:{label.text}": (value - true_values[label.text, label.effect]) / spread
-            for label, value, spread in zip(labels, values, sigma, strict=True)
+            for label, value, spread in zip(labels, estimates, sigma, strict=True)
             if (label.text, label.effect) in true_values
         }
 
@@ -78,35 +84,38 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
 
 
 def append_settings(
-    table: pa.Table, factors: Sequence[Factor], levels: Mapping[str, Any], parameters: Mapping[str, str]
+    table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
     """Rows of a cell with its settings after the column `cell`, and units in the metadata of the columns."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
-        f.name: pa.repeat(pa.scalar(levels[f.name], ARROW_TYPES.get(f.kind, pa.string())), len(table)) for f in factors
+        f.name: pa.repeat(pa.scalar(level_by_factor[f.name], ARROW_TYPES.get(f.kind, pa.string())), len(table))
+        for f in factors
     }
     metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
-    whole = cell | settings | columns
+    all_columns = cell | settings | columns
     fields = [
         pa.field(name, column.type, metadata=metadata.get(name) or _column_metadata(name, parameters))
-        for name, column in whole.items()
+        for name, column in all_columns.items()
     ]
-    return pa.table(list(whole.values()), schema=pa.schema(fields))
+    return pa.table(list(all_columns.values()), schema=pa.schema(fields))
 
 
-def method_table(cell: int, method: str, parts: list[ResultColumns]) -> pa.Table:
+def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
     """Columns of a method as a table; displayed numbers have seven digits and are empty if a geometry has no value."""
-    names = dict.fromkeys(name for part in parts for name in part)
+    names = dict.fromkeys(name for part in column_groups for name in part)
     merged = {
-        name: np.concatenate([part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in parts])
+        name: np.concatenate(
+            [part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in column_groups]
+        )
         for name in names
     }
     order = np.argsort(merged["trial"])
     merged = {name: values[order] for name, values in merged.items()}
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
     count = len(trial)
-    lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
+    is_lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
         "cell": pa.array(np.full(count, cell), pa.int32()),
         "method": pa.array([method] * count, pa.string()),
@@ -114,6 +123,6 @@ def method_table(cell: int, method: str, parts: list[ResultColumns]) -> pa.Table
         "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }
     for name, values in merged.items():
-        empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
+        empty = np.isnan(values) | (is_lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
         columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
     return pa.table(columns)

@@ -23,14 +23,14 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
     The order of sums is fixed; only a product and a sum may be fused. The function runs without the interpreter lock.
     """
 
-    def compiled_kernel(cache: bool) -> Callable[..., ReturnType]:
-        compiler = numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath={"contract"})
+    def compiled_kernel(caches_code: bool) -> Callable[..., ReturnType]:
+        compiler = numba.njit(cache=caches_code, nogil=True, error_model="numpy", fastmath={"contract"})
         return cast(Callable[..., ReturnType], compiler(function))
 
     try:
-        return compiled_kernel(cache=True)
+        return compiled_kernel(caches_code=True)
     except RuntimeError:  # neither the package's folder nor a home can be written to
-        return compiled_kernel(cache=False)
+        return compiled_kernel(caches_code=False)
 
 
 def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:

@@ -125,6 +125,6 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
             depth[key] += 1
 
 
-def cell_label(factors: Sequence[Factor], levels: Mapping[str, Any]) -> str:
+def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
     """Description of a cell in a line: the level of each factor."""
-    return ", ".join(f"{f.name} = {f.level_text(levels[f.name])}" for f in factors) or "as the scenario says"
+    return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

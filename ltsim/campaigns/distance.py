@@ -83,11 +83,11 @@ class BatchDistance(BatchCalibrator):
     @cached_property
     def _estimated_combinations(self) -> Floats:
         """Estimated combinations, (q, k)."""
-        excluded = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
+        excluded_vectors = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
             -1, self.distance_problem.prior_sigma.size
         )
-        return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
-            :, : excluded.shape[1] - len(excluded)
+        return np.linalg.svd(np.eye(excluded_vectors.shape[1]) - excluded_vectors.T @ excluded_vectors)[0][
+            :, : excluded_vectors.shape[1] - len(excluded_vectors)
         ]
 
     @cached_property
@@ -116,10 +116,12 @@ class BatchDistance(BatchCalibrator):
         visible, share = set_membership(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
         values, moved = (
-            self._least_squares_values(block) if self.method == "distance" else self._values_by_trial(block, wanted)
+            self._least_squares_values(block)
+            if self.method == "distance"
+            else self._values_by_trial(block, trial_numbers)
         )
         fit = self._adjusted_targets(block, values)
         spread = (
@@ -154,33 +156,36 @@ class BatchDistance(BatchCalibrator):
                 break
         return values, moved
 
-    def _values_by_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
+    def _values_by_trial(self, block: TrialBatch, trial_mask: Ints) -> tuple[Floats, Floats]:
         """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial] for trial in wanted.tolist()
+            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial]
+            for trial in trial_mask.tolist()
         }
-        determined = {
+        combinations_by_trial = {
             trial: self._estimated_combinations
             if self.estimates_all_combinations
             else self._trial_combinations(trial_readings)
             for trial, trial_readings in readings.items()
         }
         for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
-            active = wanted[moved[wanted] >= CONVERGED_CHANGE]
+            active = trial_mask[moved[trial_mask] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
-                design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ determined[trial])
+                design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ combinations_by_trial[trial])
                 if self.uses_absolute_deviations:  # every step but the first is short
-                    step = solve_least_absolute(design, -gap, start=np.zeros(design.shape[1]) if iteration else None)
+                    step = solve_least_absolute(
+                        design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
+                    )
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
-                unknowns[:, trial] += determined[trial] @ step
-                moved[trial] = np.abs(determined[trial] @ step).max()
+                unknowns[:, trial] += combinations_by_trial[trial] @ step
+                moved[trial] = np.abs(combinations_by_trial[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _trial_combinations(self, readings: Floats) -> Floats:
@@ -189,10 +194,10 @@ class BatchDistance(BatchCalibrator):
             readings, np.zeros(self.distance_problem.prior_sigma.size)
         )
         axes = np.linalg.eigh(design.T @ design)[1]
-        nearest = np.argsort(np.linalg.norm(self._estimated_combinations.T @ axes, axis=0))[
+        order = np.argsort(np.linalg.norm(self._estimated_combinations.T @ axes, axis=0))[
             len(axes) - self._estimated_combinations.shape[1] :
         ]
-        return axes[:, nearest]
+        return axes[:, order]
 
     def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
         """Terms (R, B) of eq. 9 for some trials at their parameters (I, p, B)."""
@@ -201,22 +206,26 @@ class BatchDistance(BatchCalibrator):
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
-        certified = gauge.decorrelate(block.length_errors[:, trials])
+        length_errors = gauge.decorrelate(block.length_errors[:, trials])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
-        return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ certified
+        return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
     def _adjusted_targets(self, block: TrialBatch, values: Floats) -> BatchFit:
         deviation = block.reading_deviations
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
-        flat = np.hypot(x, y)
-        back = (self.truth.recording.face == 2)[:, None]
-        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
-        raw = np.stack(
-            [np.hypot(flat, z), azimuth + np.where(back, np.pi, 0.0), np.where(back, np.pi - elevation, elevation)],
+        horizontal = np.hypot(x, y)
+        is_back_face = (self.truth.recording.face == 2)[:, None]
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, horizontal)
+        raw_readings = np.stack(
+            [
+                np.hypot(horizontal, z),
+                azimuth + np.where(is_back_face, np.pi, 0.0),
+                np.where(is_back_face, np.pi - elevation, elevation),
+            ],
             axis=1,
         )
-        corrected = raw - self.truth.recording.readings[:, :, None]
-        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
-        return self.batch_network.fit_trials(corrected, block.length_errors)
+        corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
+        corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
+        return self.batch_network.fit_trials(corrected_readings, block.length_errors)

@@ -61,9 +61,9 @@ class CalibratedBlock:
         """All parameters, instrument by instrument and then effects, and their sigmas, each (I p + q, B) [SI]."""
         trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
-        parts = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
-        values = [v.reshape(-1, trials) for v, _ in parts]
-        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in parts]
+        value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
+        values = [v.reshape(-1, trials) for v, _ in value_groups]
+        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in value_groups]
         return np.concatenate(values), np.concatenate(sigmas)
 
     @classmethod
@@ -74,9 +74,9 @@ class CalibratedBlock:
         values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
         points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
-        lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
+        is_lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
         reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflector_masks}
-        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy(), reflectors)
+        return cls(values, values.copy(), points, np.full(trials, np.nan), is_lost, extra, extra.copy(), reflectors)
 
     def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
         """Copy of the result of one trial from another batch, including its sigmas if they differ by trial."""
@@ -103,11 +103,11 @@ class TrialCalibrator:
     method: str = "network"
     """Name of the method in the campaign file."""
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
-        """Calibrated block; trials that are not wanted may be NaN."""
+    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
+        """Calibrated block; trials that are not requested may be NaN."""
         raise NotImplementedError
 
-    def largest_difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBlock) -> float:
+    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] of a trial from the public calibrator; NaN for that calibrator itself."""
         return float("nan")
 
@@ -124,8 +124,8 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 
     Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
-    lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
-    points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
+    is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
+    points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.is_measured[:, 1:].any():
         return align_to_points(points, goal_points)
     hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
@@ -135,10 +135,10 @@ def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
-    whole = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
+    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
-    count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
-    return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)
+    count = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
+    return count.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(count[key], 1), 0.0)
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
@@ -146,8 +146,10 @@ def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
 
     `deviation` (n, 3, B) are deviations of readings to points `local_points`, (n, 3, B) or (n, 3, 1) for common points.
     """
-    across = np.hypot(local_points[:, 0], local_points[:, 1])
-    miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local_points**2, axis=1))], axis=1)
+    horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
+    miss = deviation * np.stack(
+        [np.ones_like(horizontal), horizontal, np.sqrt(np.sum(local_points**2, axis=1))], axis=1
+    )
     far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_SUSPECT_DEVIATION_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
@@ -162,12 +164,12 @@ class SerialCalibrator(TrialCalibrator):
     uses_applied_corrections: bool = False
     """True if the applied corrections replace the estimates; sigmas remain those of the estimates."""
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
-        """Calibrated block; only the wanted trials are computed."""
+    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
+        """Calibrated block; only the requested trials are computed."""
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, block.reading_deviations.shape[2]
         )
-        for trial in wanted.tolist():
+        for trial in trial_numbers.tolist():
             try:
                 adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, block, trial))
             except LtsimError:
@@ -224,47 +226,51 @@ class BatchCalibrator(TrialCalibrator):
         program, recorded = truth.chain_program(built), truth.recorded_observables
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, adjusted_observables=recorded)
 
-    def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block by the batch, and flags (B,) of the converged trials."""
         network, fit = self.batch_network, self.batch_network.fit_trials(block.reading_deviations, block.length_errors)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
         extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        further = fit.effect_values, extra, fit.incidence_parameters
+        other_arrays = fit.effect_values, extra, fit.incidence_parameters
         return CalibratedBlock(
-            fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *further
+            fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
-    def calibrate(self, block: TrialBatch, wanted: Ints | None = None) -> CalibratedBlock:
-        """Calibrated block. Only the trials `wanted` (default all) may use the single calibrator, which is slow."""
-        wanted = np.arange(len(block.trials)) if wanted is None else wanted
-        calibrated, good = self.calibrate_batch(block, wanted)
-        enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local_points[:, :, None])
-        alone = wanted[~enough[wanted]]
-        per_trial = self.serial_calibrator.calibrate(block, alone) if len(alone) else calibrated
-        for trial in alone.tolist():
+    def calibrate(self, block: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
+        """Calibrated block. Only `trial_numbers` (default all) may use the single calibrator, which is slow."""
+        trial_numbers = np.arange(len(block.trials)) if trial_numbers is None else trial_numbers
+        calibrated, good = self.calibrate_batch(block, trial_numbers)
+        is_sufficient = good & ~is_suspect_trial(
+            block.reading_deviations, self.truth.sightings.local_points[:, :, None]
+        )
+        single_trials = trial_numbers[~is_sufficient[trial_numbers]]
+        per_trial = self.serial_calibrator.calibrate(block, single_trials) if len(single_trials) else calibrated
+        for trial in single_trials.tolist():
             calibrated.copy_trial(trial, per_trial, trial)
             calibrated.status_indices[trial] = TRIAL_STATUSES.index(
                 WITHOUT_RESULT if per_trial.status_indices[trial] else FULL_SOLVER
             )
         return calibrated
 
-    def largest_difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBlock) -> float:
+    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] of parameters and targets of a trial from the single calibrator.
 
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
         trial.
         """
-        other = self.serial_calibrator.calibrate(block, np.array([trial]))
-        if other.status_indices[trial] != 0:
+        serial_block = self.serial_calibrator.calibrate(block, np.array([trial]))
+        if serial_block.status_indices[trial] != 0:
             return float("nan")
         values = (
-            np.abs(other.instrument_values[:, :, trial] - calibrated.instrument_values[:, :, trial])
-            / calibrated.instrument_sigmas
+            np.abs(serial_block.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
+            / results.instrument_sigmas
         )
         truth = self.truth.state.target_points
-        batch = truth + calibrated.target_errors[:, :, trial]
-        gap = np.abs(align_to_points(truth + other.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
+        batch = truth + results.target_errors[:, :, trial]
+        gap = (
+            np.abs(align_to_points(truth + serial_block.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
+        )
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property

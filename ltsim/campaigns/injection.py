@@ -144,8 +144,8 @@ def injection_curve(
             compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
         ]
         rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
-    reported = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_catalogue_name(cause), reported, tuple(rows))
+    effect_names = tuple(sorted({f.effect for f in background.findings}))
+    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(rows))
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
@@ -156,32 +156,32 @@ def compare_with_injection(
     diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
 ) -> dict[str, bool]:
     """Flags of the findings that are not in the background: effect detected, located and identified."""
-    before = {_finding_key(f) for f in background_findings.findings}
-    new = [f for f in diagnosis.findings if _finding_key(f) not in before]
-    placed = [f for f in new if _has_same_place(cause.effect, f)]
+    background_keys = {_finding_key(f) for f in background_findings.findings}
+    new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
+    located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
     name = cause.effect.name
-    named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
-    first = new[:1]
+    identified_findings = [f for f in located_findings if name in (f.effect, *(e.effect for e in f.equivalents))]
+    first = new_findings[:1]
     return {
-        "detections": bool(new),
-        "placed": bool(placed),
-        "named": bool(named),
-        "right": bool(first) and first[0].effect == name and first[0] in placed,
+        "detections": bool(new_findings),
+        "placed": bool(located_findings),
+        "named": bool(identified_findings),
+        "right": bool(first) and first[0].effect == name and first[0] in located_findings,
     }
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    where = finding.where
-    return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
+    scope = finding.where
+    return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if stations and targets agree, or the observables for an effect without a place."""
-    where = finding.where
-    pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
+    scope = finding.where
+    pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
-    reported = set(where.observables) or set(cause.observables)
-    return overlaps and bool(reported & set(cause.observables))
+    observables = set(scope.observables) or set(cause.observables)
+    return overlaps and bool(observables & set(cause.observables))
 
 
 def _curve_row(
@@ -262,19 +262,19 @@ def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
 def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
-    drawn = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
+    sizes = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )
     positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
-    drawn = np.where(positive, np.abs(drawn), drawn)
+    sizes = np.where(positive, np.abs(sizes), sizes)
     if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
     if not given_values:
-        return drawn
+        return sizes
     if isinstance(cause, EmpiricalLaw):
-        moved = cause.columns(injector.residual_space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
+        moved = cause.columns(injector.residual_space.sightings) @ sizes.reshape(-1, cause.regressor.n_columns).T
         rms = float(
             np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
         )
-        return drawn * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+        return sizes * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

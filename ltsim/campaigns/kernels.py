@@ -35,20 +35,16 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
     a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
     b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
     cx, cy, cz = v * z - w * y, w * x - u * z, u * y - v * x
-    return (
-        x + a * cx + b * (v * cz - w * cy),
-        y + a * cy + b * (w * cx - u * cz),
-        z + a * cz + b * (u * cy - v * cx),
-    )
+    return (x + a * cx + b * (v * cz - w * cy), y + a * cy + b * (w * cx - u * cz), z + a * cz + b * (u * cy - v * cx))
 
 
 @compile_function
-def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, values: Floats, out: Floats) -> None:
+def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, values: Floats, amounts: Floats) -> None:
     """Deviation (M, B) of the amount of each motion at pointing i, for reading deviations (3, B) and values (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
-    trials = out.shape[1]
+    trials = amounts.shape[1]
     for m in range(len(driven)):
-        row = out[m]
+        row = amounts[m]
         if driven[m] >= 0:
             moved = deviation[driven[m]]
             for t in range(trials):
@@ -162,13 +158,7 @@ def _backpropagate(
 
 
 @compile_function
-def compute_points(
-    chain: ChainProgram,
-    instrument: Ints,
-    deviation: Floats,
-    values: Floats,
-    points: Floats,
-) -> None:
+def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
     """Points (n, 3, B) [m] in the instruments' frames for reading deviations (n, 3, B) and values (I, p, B)."""
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -183,12 +173,7 @@ def compute_points(
 
 @compile_function
 def compute_readings(
-    chain: ChainProgram,
-    instrument: Ints,
-    local_points: Floats,
-    by_point: Floats,
-    values: Floats,
-    deviation: Floats,
+    chain: ChainProgram, instrument: Ints, local_points: Floats, by_point: Floats, values: Floats, deviation: Floats
 ) -> None:
     """Reading deviations (n, 3, B) for which the chain reaches the points `local_points` (n, 3), by Newton's method.
 
@@ -297,11 +282,12 @@ def network_gradient(
 
 @compile_function
 def _station_to_target(
-    arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats
+    arm: Floats, rotation: Floats, pose: Floats, point: Floats, predicted: Floats, scratch: Floats
 ) -> None:
     """Vector from station to target in the network frame, and its difference from the reached point.
 
-    They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
+    They go to the rows 0 to 2 and 3 to 5 of `scratch`. Loops over few rows each: only then are they vector
+    instructions.
     """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -309,8 +295,8 @@ def _station_to_target(
     a0, a1, a2 = arm[0], arm[1], arm[2]
     tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
     px, py, pz = point[0], point[1], point[2]
-    qx, qy, qz = reached[0], reached[1], reached[2]
-    ax, ay, az, mx, my, mz = work[0], work[1], work[2], work[3], work[4], work[5]
+    qx, qy, qz = predicted[0], predicted[1], predicted[2]
+    ax, ay, az, mx, my, mz = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
     for t in range(len(px)):
         x, y, z = (
             trial_value(a0, t) + px[t] - tx[t],
@@ -328,8 +314,8 @@ def _station_to_target(
 def _reading_force(
     by_point: Floats,
     weight: Floats,
-    work: Floats,
-    measured: Floats,
+    scratch: Floats,
+    observed: Floats,
     predicted: Floats,
     residual: Floats,
     force: Floats,
@@ -343,8 +329,8 @@ def _reading_force(
     j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]
     j20, j21, j22 = by_point[2, 0], by_point[2, 1], by_point[2, 2]
     w0, w1, w2 = weight[0], weight[1], weight[2]
-    mx, my, mz = work[3], work[4], work[5]
-    y0, y1, y2 = measured[0], measured[1], measured[2]
+    mx, my, mz = scratch[3], scratch[4], scratch[5]
+    y0, y1, y2 = observed[0], observed[1], observed[2]
     f0, f1, f2 = predicted[0], predicted[1], predicted[2]
     e0, e1, e2 = residual[0], residual[1], residual[2]
     fx, fy, fz = force[0], force[1], force[2]
@@ -368,13 +354,13 @@ def _reading_force(
 
 @compile_function
 def _add_forces(
-    rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats
+    rotation: Floats, pose: Floats, scratch: Floats, force: Floats, by_pose: Floats, by_target: Floats
 ) -> None:
     """Addition of the force to the gradients of target and station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], work[0], work[1], work[2]
+    wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], scratch[0], scratch[1], scratch[2]
     fx, fy, fz = force[0], force[1], force[2]
     gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
     kx, ky, kz = by_target[0], by_target[1], by_target[2]

@@ -74,7 +74,7 @@ class BatchNetwork:
         """Forward model, as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared_quantities is not None:
-            vars(model)["nuisances"] = self.shared_quantities.network.model.nuisance_errors
+            vars(model)["nuisance_errors"] = self.shared_quantities.network.model.nuisance_errors
         return model
 
     @cached_property
@@ -113,8 +113,13 @@ class BatchNetwork:
         if self.shared_quantities is not None:
             return self.shared_quantities.network.column_order
         unknowns = self.problem.unknowns
-        parts = (unknowns.pose_columns, unknowns.target_columns, unknowns.instrument_columns, unknowns.extra_columns)
-        order = np.concatenate([part.ravel() for part in parts])
+        column_groups = (
+            unknowns.pose_columns,
+            unknowns.target_columns,
+            unknowns.instrument_columns,
+            unknowns.extra_columns,
+        )
+        order = np.concatenate([part.ravel() for part in column_groups])
         if len(np.unique(order)) != unknowns.n_columns:
             raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
         return order
@@ -139,17 +144,17 @@ class BatchNetwork:
         )
         return to_dense(system.design), system.whitened_residuals
 
-    def _nominal_prediction(self, shared: SharedQuantities) -> Prediction:
+    def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
         They equal those of `MeasurementModel.linearise`.
         """
         recording, state = self.recording, self.state
-        by_target = shared.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(
-            recording.readings, by_pose, by_target, shared.value_derivatives, np.zeros((len(recording), 3, 0))
+            recording.readings, by_pose, by_target, quantities.value_derivatives, np.zeros((len(recording), 3, 0))
         )
 
     @cached_property
@@ -178,10 +183,10 @@ class BatchNetwork:
     def parameter_sigmas(self) -> Floats:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
         (_, start, end, _), (root, scale) = self.end_indices, self.cholesky_and_scales
-        last = inverse_from_cholesky(
+        inverse_block = inverse_from_cholesky(
             root[start:, start:]
         )  # of the last unknowns the inverse is that of the last corner
-        roots = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
+        roots = np.sqrt(np.diag(inverse_block)[: end - start]) * scale[start:end]
         return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
     def step(self, gradient: Floats) -> Floats:
@@ -277,17 +282,17 @@ class BatchNetwork:
         if self._expected_shift is not None:
             deviation = deviation - self._expected_shift
         x, predicted = self._first_step(deviation, gauge_error)
-        before = np.full(x.shape[1], np.inf)
+        last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_STEPS + 1):
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / before))
+            remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / last_costs))
             if not np.any(remainder >= MAX_DISTANCE_TO_OPTIMUM):
                 break
-            before = squared
+            last_costs = squared
         _, points, values, extra = self.split_unknowns(x)
         effects, reflectors = (
             extra[: self.model.n_effect_parameters],
@@ -307,9 +312,9 @@ class BatchNetwork:
 
         If states have a last index for the trial, designs have it first.
         """
-        flat = self._extra_design.reshape(self.reading_sigmas.size, -1)
-        rows = np.flatnonzero(flat.any(axis=1))
-        return rows, flat[rows], flat[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
+        flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
+        rows = np.flatnonzero(flattened.any(axis=1))
+        return rows, flattened[rows], flattened[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
@@ -358,9 +363,9 @@ class BatchNetwork:
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
-        others = self._non_reading_residuals(increments, gauge_error)
-        gradient += multiply_by_trial(np.swapaxes(self._non_reading_design[0], -2, -1), others)
-        cost += np.sum(others**2, axis=0)
+        residuals = self._non_reading_residuals(increments, gauge_error)
+        gradient += multiply_by_trial(np.swapaxes(self._non_reading_design[0], -2, -1), residuals)
+        cost += np.sum(residuals**2, axis=0)
 
     def _non_reading_residuals(self, increments: Floats, gauge_error: Floats | None) -> Floats:
         """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.

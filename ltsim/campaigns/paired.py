@@ -23,7 +23,7 @@ CellMethod = tuple[int, str]
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Paired difference of a statistic: `first` minus `second` method or level on the same draws, trial by trial.
+    """Paired difference of a statistic: first minus second method or level on the same draws, trial by trial.
 
     `settings` are common to both; `low` and `high` are the 95 % confidence limits.
     """
@@ -72,11 +72,11 @@ class PairedDifferences(Result):
         return {"differences": lambda: columns_from_rows(plain)}
 
 
-def paired_differences(results: CampaignStatistics, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
+def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
     """Paired comparison of methods; see `Results.paired`."""
-    if len(between) != 1:
+    if len(pair) != 1:
         raise ModelError("paired compares two methods, method=(A, B), or two levels of one factor")
-    ((along, (first, second)),) = between.items()
+    ((along, (first, second)),) = pair.items()
     differences = []
     for common, this, other in _comparison_pairs(results, along, first, second):
         values = [_trial_values(results, statistic, *place) for place in (this, other)]
@@ -93,24 +93,24 @@ def paired_differences(results: CampaignStatistics, statistic: str, **between: t
 
 
 def _comparison_pairs(
-    results: CampaignStatistics, along: str, first: Any, second: Any
+    results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
 ) -> Iterator[tuple[dict[str, Any], CellMethod, CellMethod]]:
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
-    if along not in ("method", *factors):
-        raise unknown_name("factor of this campaign", along, ("method", *factors))
-    choices = list(methods) if along == "method" else [level[along] for level in levels]
-    for level in (first, second):
+    if factor_name not in ("method", *factors):
+        raise unknown_name("factor of this campaign", factor_name, ("method", *factors))
+    choices = list(methods) if factor_name == "method" else [level[factor_name] for level in levels]
+    for level in (first_level, second_level):
         if level not in choices:
-            raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(choices)])
+            raise unknown_name(f"level of {factor_name}", str(level), [str(k) for k in dict.fromkeys(choices)])
     for cell, settings in enumerate(levels):
-        if along == "method":
-            yield dict(settings), (cell, first), (cell, second)
-        elif settings[along] == first and (settings | {along: second}) in levels:
-            rest = {name: value for name, value in settings.items() if name != along}
+        if factor_name == "method":
+            yield dict(settings), (cell, first_level), (cell, second_level)
+        elif settings[factor_name] == first_level and (settings | {factor_name: second_level}) in levels:
+            rest = {name: value for name, value in settings.items() if name != factor_name}
             for method in methods:
                 several = {"method": method} if len(methods) > 1 else {}
-                yield rest | several, (cell, method), (levels.index(settings | {along: second}), method)
+                yield rest | several, (cell, method), (levels.index(settings | {factor_name: second_level}), method)
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
@@ -120,9 +120,9 @@ def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method
     return table[0], table[1:]
 
 
-def _mean_and_influence(terms: Floats) -> tuple[float, Floats]:
+def _mean_and_influence(trial_terms: Floats) -> tuple[float, Floats]:
     """Mean of (1, N), or ratio of means of (2, N), and the influence (N,) of each trial on it."""
-    if len(terms) == 1:
-        return float(np.mean(terms)), terms[0]
-    ratio = float(terms[0].mean() / terms[1].mean())
-    return ratio, (terms[0] - ratio * terms[1]) / terms[1].mean()
+    if len(trial_terms) == 1:
+        return float(np.mean(trial_terms)), trial_terms[0]
+    ratio = float(trial_terms[0].mean() / trial_terms[1].mean())
+    return ratio, (trial_terms[0] - ratio * trial_terms[1]) / trial_terms[1].mean()

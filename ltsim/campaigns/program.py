@@ -43,27 +43,27 @@ class ChainProgram(NamedTuple):
     """Derivative of each basis with respect to the readings, (p, n, 3)."""
 
     @classmethod
-    def from_construction(cls, construction: Construction, raw: Floats) -> Self:
+    def from_construction(cls, construction: Construction, readings: Floats) -> Self:
         """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
         slots = [term.slot for term in construction.terms]
-        fed = {
+        motions_by_slot = {
             m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
             for m in construction.kinematic_chain
             if m.slot
         }
-        motions = [m for m in construction.kinematic_chain if m.nominal is not None or fed.get(m.slot)]
-        feeds = [fed.get(m.slot, []) for m in motions]
-        slope = _basis_derivatives(construction, raw)
+        motions = [m for m in construction.kinematic_chain if m.nominal is not None or motions_by_slot.get(m.slot)]
+        feeds = [motions_by_slot.get(m.slot, []) for m in motions]
+        slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
             axis_indices=np.array([m.axis for m in motions], dtype=np.int64),
             reading_signs=np.array([m.sign for m in motions]),
             reading_indices=np.array([_reading_index(m) for m in motions], dtype=np.int64),
-            nominal_amounts=np.array([_nominal_amount(m, raw) for m in motions]),
+            nominal_amounts=np.array([_nominal_amount(m, readings) for m in motions]),
             parameter_offsets=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
             parameter_indices=np.array([k for f in feeds for k in f], dtype=np.int64),
             depends_on_readings=np.any(slope != 0, axis=(1, 2)).astype(np.int64),
-            basis_values=np.ascontiguousarray(construction.basis_values(raw).T),
+            basis_values=np.ascontiguousarray(construction.basis_values(readings).T),
             basis_derivatives=slope,
         )
 
@@ -89,20 +89,24 @@ def _reading_index(motion: ElementaryMotion) -> int:
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    moved = np.asarray(motion.nominal(probe))
-    return next((c for c in range(3) if moved[c + 1] != moved[0]), -1)
+    amounts = np.asarray(motion.nominal(probe))
+    return next((c for c in range(3) if amounts[c + 1] != amounts[0]), -1)
 
 
-def _nominal_amount(motion: ElementaryMotion, raw: Floats) -> Floats:
-    amount = np.zeros(len(raw)) if motion.nominal is None else motion.sign * motion.nominal(raw)
+def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
+    amount = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(amount), np.sin(amount)], axis=1)
     return np.stack([amount, np.zeros_like(amount)], axis=1)
 
 
-def _basis_derivatives(construction: Construction, raw: Floats) -> Floats:
+def _basis_derivatives(construction: Construction, readings: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis with respect to the readings."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
-    moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
-    ahead, behind = construction.basis_values(moved).T.reshape(construction.n_parameters, 2, 3, len(raw)).swapaxes(0, 1)
+    shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
+    ahead, behind = (
+        construction.basis_values(shifted_readings)
+        .T.reshape(construction.n_parameters, 2, 3, len(readings))
+        .swapaxes(0, 1)
+    )
     return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DERIVATIVE_STEP), 1, 2))

@@ -94,7 +94,7 @@ class Recovery(ResultFile):
     def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
         """Result of the trials."""
         checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
-        made = cls(
+        result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
             errors=trials.errors,
             trials=len(trials.trials),
@@ -107,8 +107,8 @@ class Recovery(ResultFile):
             tolerances={name: tolerance.text for name, tolerance in trials.tolerance.items()},
             problem=trials.problem,
         )
-        made._arrays = trials
-        return made
+        result._arrays = trials
+        return result
 
     @property
     def arrays(self) -> RecoveryTrials:
@@ -131,20 +131,20 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks that fail."""
+        """Checks of the trials that failed."""
         return [check for check in self.checks if not check.passed]
 
     def verdict_text(self) -> str:
         """Text of the result in a few words."""
-        within = "the given tolerances" if self.tolerances else "its declared uncertainty"
+        phrase = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failed_checks():
             return "the check fails"
         if not self.unchecked:
-            return f"everything is recovered within {within}"
+            return f"everything is recovered within {phrase}"
         checked, count = len(self.parameters) - len(self.unchecked), len(self.parameters)
         if not checked:
             return "no parameter is checked"
-        return f"{checked} of {count} parameters are recovered within {within}, the others are not checked"
+        return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"
 
     def failure_sentences(self) -> list[str]:
         """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
@@ -224,7 +224,7 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failure_sentences()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
+    check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
@@ -235,14 +235,14 @@ def recover(
         split_command(calibrator)
     elif calibrator is not None:
         jobs = 1
-    named = effect_tuple(with_effects)
-    example = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(parse_requested_effect(text, example) for text in named if example is not None)
-    built = true_construction if construction is None else construction_called(construction)
-    how = RecoverySettings(method, built, extra_effects, calibrator, mode)
+    effects = effect_tuple(with_effects)
+    example = simulate(scenario, seed=seed).recording if effects else None
+    extra_effects = tuple(parse_requested_effect(text, example) for text in effects if example is not None)
+    model = true_construction if construction is None else construction_called(construction)
+    settings = RecoverySettings(method, model, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
-    with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
+    with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for outcome in outcomes:
             if isinstance(outcome, FailedTrial):
                 failed, problem = failed + outcome.is_external, outcome.reason
@@ -254,16 +254,16 @@ def recover(
             if failed == MAX_EARLY_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
                 break
-    made = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)
-    return Recovery.from_trials(made, seed=seed, allow_unchecked=allow_unchecked)
+    result = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)
+    return Recovery.from_trials(result, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _require_same_parameters(trial: TrialScore, before: Sequence[TrialScore | None]) -> None:
+def _require_same_parameters(trial: TrialScore, earlier_trials: Sequence[TrialScore | None]) -> None:
     """Check that a trial has the parameters of the first trial with a result; raises RecordError."""
-    first = next((other for other in before if other is not None), trial)
+    first = next((other for other in earlier_trials if other is not None), trial)
     if trial.parameter_names != first.parameter_names:
         differing = sorted({*trial.parameter_names} ^ {*first.parameter_names})[0]
-        raise RecordError(f"trial {len(before)}: the calibrator gives {differing} in a part of the trials only")
+        raise RecordError(f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only")
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
@@ -271,7 +271,7 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
 
     Raises SetupError for another kind of unit.
     """
-    given = {}
+    given_values = {}
     for name, words in tolerance.items():
         if name not in trial.parameter_names:
             raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
@@ -279,8 +279,8 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
         value = parse_in_unit(words, unit)
         if value is None or not value > 0:
             raise SetupError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
-        given[name] = RecoveryTolerance(value, words)
-    return given
+        given_values[name] = RecoveryTolerance(value, words)
+    return given_values
 
 
 def suggested_error_origin(scenario: Scenario) -> ErrorOrigin:

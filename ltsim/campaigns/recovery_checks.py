@@ -54,14 +54,18 @@ class RecoveryCheck(Entry):
     """True if the number lies between the bounds."""
 
     @classmethod
-    def from_value(cls, subject: str, statistic: str, value: float, low: float, high: float) -> Self:
+    def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
         """Check of a number; NaN fails."""
-        passed = bool(low <= value <= high)
-        return cls(subject=subject, statistic=statistic, value=value, low=low, high=high, passed=passed)
+        is_passed = bool(lower_limit <= value <= upper_limit)
+        return cls(
+            subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=is_passed
+        )
 
-    def with_limits(self, low: float, high: float) -> Self:
+    def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
         """Check of the same number with other limits."""
-        return self.from_value(self.subject, self.statistic, math.nan if self.value is None else self.value, low, high)
+        return self.from_value(
+            self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
+        )
 
     def sentence(self) -> str:
         """Sentence with the value and its limits."""
@@ -79,7 +83,7 @@ def recovery_checks(
     *,
     names: Sequence[str] | None = None,
     tolerance: Mapping[str, float] | None = None,
-    false_alarm: float = FALSE_ALARM_RATE,
+    alpha: float = FALSE_ALARM_RATE,
 ) -> list[RecoveryCheck]:
     """Checks that true values are recovered within declared sigmas, within given tolerances, or both.
 
@@ -93,7 +97,7 @@ def recovery_checks(
         Names of the parameters; default their numbers.
     tolerance : mapping of str to float, optional
         95 % of a parameter's errors lie within it; with it only the parameters that it names are checked.
-    false_alarm : float
+    alpha : float
         Chance that a correct calibrator fails any of the checks on sigmas.
 
     Returns
@@ -116,9 +120,11 @@ def recovery_checks(
     'a passes: share of errors within 0.5 = 1 (allowed 0.95 to 1)'
     """
     estimate, truth = np.atleast_2d(estimate), np.atleast_2d(truth)
-    called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
-    if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
-        raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
+    names_used = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
+    if estimate.shape != truth.shape or len(names_used) != estimate.shape[1]:
+        raise ModelError(
+            f"estimates are {estimate.shape}, truths {truth.shape}, names {len(names_used)}: give one of each"
+        )
     if len(estimate) < MIN_TRIALS:
         raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
     if sigma is None and not tolerance:
@@ -127,16 +133,16 @@ def recovery_checks(
         raise ModelError(
             f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give one sigma per value"
         )
-    if unknown := [name for name in tolerance or () if name not in called]:
-        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(called)}")
-    chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
+    if unknown := [name for name in tolerance or () if name not in names_used]:
+        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(names_used)}")
+    indices = [k for k, name in enumerate(names_used) if not tolerance or name in tolerance]
     checks = []
-    for k in chosen:
+    for k in indices:
         if sigma is not None:
             z = (estimate[:, k] - truth[:, k]) / np.atleast_2d(sigma)[:, k]
-            checks += parameter_checks(called[k], z, false_alarm / (3 * len(chosen)))
+            checks += parameter_checks(names_used[k], z, alpha / (3 * len(indices)))
         if tolerance:
-            checks.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
+            checks.append(tolerance_check(names_used[k], estimate[:, k] - truth[:, k], tolerance[names_used[k]]))
     return checks
 
 
@@ -148,55 +154,60 @@ def tolerance_check(name: str, error: Floats, tolerance: float, tolerance_text: 
     )
 
 
-def parameter_checks(name: str, z_scores: Floats, level: float) -> list[RecoveryCheck]:
-    """Checks of mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
+def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
+    """Checks of mean, standard deviation and coverage of z-scores (N,); `alpha` is the false-alarm rate of each."""
     count = len(z_scores)
-    shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
-    tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
-    inside = stats.binom.ppf([level / 2, 1 - level / 2], count, NOMINAL_COVERAGE) / count
-    covered = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
+    shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(alpha / 2) / np.sqrt(count)))
+    tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], count - 1) / (count - 1)
+    coverage_limits = stats.binom.ppf([alpha / 2, 1 - alpha / 2], count, NOMINAL_COVERAGE) / count
+    coverage = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
     deviation = min(1 - DEVIATION_Z_MARGIN, np.sqrt(tails[0])), max(1 + DEVIATION_Z_MARGIN, np.sqrt(tails[1]))
-    held = min(NOMINAL_COVERAGE - COVERAGE_MARGIN, inside[0]), max(NOMINAL_COVERAGE + COVERAGE_MARGIN, inside[1])
+    limits = (
+        min(NOMINAL_COVERAGE - COVERAGE_MARGIN, coverage_limits[0]),
+        max(NOMINAL_COVERAGE + COVERAGE_MARGIN, coverage_limits[1]),
+    )
     return [
         RecoveryCheck.from_value(name, "mean z-score", float(z_scores.mean()), -shift, shift),
         RecoveryCheck.from_value(
             name, "standard deviation of the z-scores", float(z_scores.std(ddof=1)), *map(float, deviation)
         ),
-        RecoveryCheck.from_value(name, "coverage of 95 % intervals", covered, *map(float, held)),
+        RecoveryCheck.from_value(name, "coverage of 95 % intervals", coverage, *map(float, limits)),
     ]
 
 
-def fixed_truth_checks(name: str, z_scores: Floats, level: float) -> list[RecoveryCheck]:
+def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
     """Checks of z-scores (N,) for a fixed truth and a calibrator with unknown prior.
 
     A prior may make sigmas larger than the scatter, but never smaller: standard deviation and coverage therefore have
     one limit each, and the mean has two.
     """
-    mean, spread, coverage = parameter_checks(name, z_scores, level)
+    mean, spread, coverage = parameter_checks(name, z_scores, alpha)
     return [mean, spread.with_limits(0.0, spread.high), coverage.with_limits(coverage.low, 1.0)]
 
 
-def chi_square_check(chi2: Floats, expected: Floats, deviation: Floats, level: float) -> RecoveryCheck:
+def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
     """Check of the total chi-square relative to its expectation, as a scaled chi-square (Satterthwaite)."""
-    mean, variance = float(np.sum(expected)), float(np.sum(deviation**2))
+    mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
-    tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
+    tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], freedom) / freedom
     low, high = min(1 - CHI2_MARGIN, float(tails[0])), max(1 + CHI2_MARGIN, float(tails[1]))
     return RecoveryCheck.from_value("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
-def mean_check(subject: str, statistic: str, values: Floats, level: float) -> RecoveryCheck:
+def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
     """Check that the mean of values (N,), one per trial, is one.
 
     The limits follow from the median absolute deviation relative to the median, so that values that are all too large,
     or a few outliers, do not widen their own limits.
     """
-    middle = float(np.median(values))
-    deviation = float(np.median(np.abs(values - middle)))
+    median = float(np.median(trial_values))
+    deviation = float(np.median(np.abs(trial_values - median)))
     relative = (
-        min(deviation / (stats.norm.ppf(0.75) * middle), MAX_RELATIVE_DEVIATION)
-        if middle > 0
+        min(deviation / (stats.norm.ppf(0.75) * median), MAX_RELATIVE_DEVIATION)
+        if median > 0
         else MAX_RELATIVE_DEVIATION
     )
-    within = max(NETWORK_MARGIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
-    return RecoveryCheck.from_value(subject, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)
+    margin = max(
+        NETWORK_MARGIN, float(stats.t.isf(alpha / 2, len(trial_values) - 1)) * relative / np.sqrt(len(trial_values))
+    )
+    return RecoveryCheck.from_value(subject, statistic, float(trial_values.mean()), max(1 - margin, 0.0), 1 + margin)

@@ -120,31 +120,31 @@ def run_trials(
 
     Raises SetupError for a parameter of the calibrator that is not drawn.
     """
-    made = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
-    work = ((made, seed, index, settings) for index in range(trials))
-    yield from run_parallel(run_trial, work, min(jobs, trials), batch=4)
+    drawn_scenario = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
+    tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
+    yield from run_parallel(run_trial, tasks, min(jobs, trials), calls_per_batch=4)
 
 
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
-    drawn = {"errors": {"draw": True}, "error_factor": 1.0}
-    named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
+    error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
+    by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": named}
+        update={"instrument": scenario.instrument.model_copy(update=error_fields), "instruments": by_name}
     )
 
 
 def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
-    work = make_geometry(scenario, seed, *placing_stream_key(index, "per-trial"))
-    recording, truth = measure_trial(work, seed, index)
-    law = instrument_error_distribution(work.scenario, work.construction)
-    names = work.construction.instrument_parameter_names(tuple(work.scenario.trackers_in_use))
+    geometry = make_geometry(scenario, seed, *placing_stream_key(index, "per-trial"))
+    recording, truth = measure_trial(geometry, seed, index)
+    law = instrument_error_distribution(geometry.scenario, geometry.construction)
+    names = geometry.construction.instrument_parameter_names(tuple(geometry.scenario.trackers_in_use))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
     reference = None
     try:
         reference = score_calibration(
-            calibrate_with(recording, settings, settings.construction or work.construction), truth, laws
+            calibrate_with(recording, settings, settings.construction or geometry.construction), truth, laws
         )
     except LtsimError as problem:
         if settings.calibrator is None and not isinstance(problem, ConvergenceError):
@@ -207,8 +207,8 @@ class RecoveryTrials(ValueEquality):
         """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
         if self.tolerance or not self.trials_with_result:
             return ()
-        judged = np.all(np.isfinite(self.z_scores), axis=0)
-        return tuple(name for name, checked in zip(self.parameter_names, judged, strict=True) if not checked)
+        is_checked = np.all(np.isfinite(self.z_scores), axis=0)
+        return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
 
     def trial_rows(self) -> list[dict[str, object]]:
         """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
@@ -244,8 +244,8 @@ class RecoveryTrials(ValueEquality):
 
         `error` (N, p) are the errors of the checked calibrator.
         """
-        both = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_estimates is not None]
-        if len(both) < MIN_TRIALS:
+        trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_estimates is not None]
+        if len(trial_indices) < MIN_TRIALS:
             return {}
         reference = np.stack(
             [
@@ -254,27 +254,27 @@ class RecoveryTrials(ValueEquality):
                 if t.ltsim_estimates is not None
             ]
         )
-        gap, count = np.abs(error[both]) - np.abs(reference), len(both)
-        half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
+        gap, count = np.abs(error[trial_indices]) - np.abs(reference), len(trial_indices)
+        half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return {
             "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
             "larger_than_ltsim": gap.mean(axis=0).tolist(),
-            "larger_low": (gap.mean(axis=0) - half).tolist(),
-            "larger_high": (gap.mean(axis=0) + half).tolist(),
+            "larger_low": (gap.mean(axis=0) - half_width).tolist(),
+            "larger_high": (gap.mean(axis=0) + half_width).tolist(),
         }
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
-        lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", lost, 0, 0)]
+        n_lost = len(self.trials) - len(self.trials_with_result)
+        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
-        chosen = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
-        level = FALSE_ALARM_RATE / (4 * len(chosen) + 3)
-        checks += [check for k in chosen for check in self._parameter_checks(k, level)]
+        indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
+        level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
+        checks += [check for k in indices for check in self._parameter_checks(k, level)]
         return checks if self.tolerance else checks + self._network_checks(level)
 
-    def _parameter_checks(self, parameter_index: int, level: float) -> list[RecoveryCheck]:
+    def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:
         """Checks of a parameter; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
@@ -283,9 +283,9 @@ class RecoveryTrials(ValueEquality):
         )
         foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
-            checks += parameter_checks(name, standard, level)
+            checks += parameter_checks(name, standard, alpha)
         if self.errors == "stated" and np.all(np.isfinite(z)):
-            mean, spread, coverage = fixed_truth_checks(name, z, level)
+            mean, spread, coverage = fixed_truth_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
             checks.append(coverage)
         if self.tolerance:
@@ -297,14 +297,14 @@ class RecoveryTrials(ValueEquality):
             checks.append(tolerance_check(name, error, given.max_error, given.text))
         return checks
 
-    def _network_checks(self, level: float) -> list[RecoveryCheck]:
+    def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
         parts, checks = [trial.network_score for trial in self.trials_with_result], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_deviation")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
-            checks.append(chi_square_check(chi2, expected, spread, level))
+            checks.append(chi_square_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, f"{what[:-1]}_mean_square") for part in parts])
             if np.all(np.isfinite(squares)):
-                checks.append(mean_check(what, "mean squared error over variance", squares, level))
+                checks.append(mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

@@ -36,14 +36,14 @@ class CampaignResults(CampaignStatistics, Result):
     def __reduce__(self) -> tuple[type[CampaignResults], tuple[Path]]:
         return CampaignResults, (self.folder.resolve(),)
 
-    def paired_differences(self, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:
+    def paired_differences(self, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
 
         Parameters
         ----------
         statistic : str
             A column of the rows, or a share.
-        **between
+        **pair
             Either ``method=("distance", "network")``, or a factor with two of its levels, ``faces=(1, 2)``: first minus
             second, for every combination of the other settings.
 
@@ -53,7 +53,7 @@ class CampaignResults(CampaignStatistics, Result):
             When there is no such statistic, method, factor or level.
         """
         self._sql_column(statistic)
-        return paired_differences(self, statistic, **between)
+        return paired_differences(self, statistic, **pair)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
         """Statistic that a function defines, over the trials of every cell and method, with its 95 % interval.
@@ -79,13 +79,13 @@ class CampaignResults(CampaignStatistics, Result):
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
             raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
-        quoted = [self._sql_column(column) for column in columns]
-        where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
+        sql_columns = [self._sql_column(column) for column in columns]
+        condition_text = " AND ".join(f"isfinite({name})" for name in sql_columns) or "true"
         name = getattr(function, "__name__", type(function).__name__)
         spreads = []
         for cell in range(len(self.levels)):
             for method in sorted(self.manifest.methods):
-                values = self.term_values(quoted, cell, method, where)
+                values = self.term_values(sql_columns, cell, method, condition_text)
                 count = values.shape[1]
                 if not count:
                     continue
@@ -179,15 +179,15 @@ class CampaignResults(CampaignStatistics, Result):
         return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
 
 
-def _checked_number(function: Callable[..., float], values: Floats) -> float:
+def _checked_number(function: Callable[..., float], columns: Floats) -> float:
     """Value of a function of the columns (k, n); raises ModelError if it is not a number."""
-    result = np.asarray(function(*values))
+    result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
     return float(result.item())
 
 
-def _sorted_levels(values: Iterable[Any]) -> list[Any]:
+def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
     """Sorted numbers, so that an axis can be sliced; texts keep the order of the file."""
-    listed = list(values)
-    return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed
+    level_list = list(levels)
+    return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list

@@ -72,8 +72,13 @@ class ShardTask:
     @property
     def key(self) -> dict[str, str]:
         """Metadata of the shard's file: campaign, cell, shard and statistics."""
-        held = " ".join(self.campaign.statistics)
-        return {"campaign": self.cell_digest, "cell": str(self.cell), "shard": str(self.shard), "statistics": held}
+        statistics = " ".join(self.campaign.statistics)
+        return {
+            "campaign": self.cell_digest,
+            "cell": str(self.cell),
+            "shard": str(self.shard),
+            "statistics": statistics,
+        }
 
 
 @dataclass(frozen=True)
@@ -127,7 +132,7 @@ class CellContext:
         return planned_layout(self.scenario)
 
     def trial_blocks(
-        self, first: int, last: int
+        self, first_trial: int, end_trial: int
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
         """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
 
@@ -136,12 +141,12 @@ class CellContext:
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             judge, calibrators = self.common_geometry
-            for number in range(first // TRIALS_PER_STREAM, -(-last // TRIALS_PER_STREAM)):
+            for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
                 yield judge, calibrators, judge.truth.draw_block(seed, number)
             return
-        for low in range(first, last, MAX_TRIALS_PER_STACK):
+        for low in range(first_trial, end_trial, MAX_TRIALS_PER_STACK):
             for stack, numbers in stack_geometries(
-                self._trial_geometries(range(low, min(low + MAX_TRIALS_PER_STACK, last)))
+                self._trial_geometries(range(low, min(low + MAX_TRIALS_PER_STACK, end_trial)))
             ):
                 yield (
                     TrialEvaluator(stack),
@@ -164,8 +169,10 @@ class CellContext:
 @lru_cache(maxsize=4)
 def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
     """Cell of a task, from JSON texts; it is cached, because a worker computes many shards of the same cell."""
-    there = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
-    return CellContext(CampaignFile.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
+    validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
+    return CellContext(
+        CampaignFile.model_validate_json(campaign), Scenario.model_validate_json(scenario), validation_model
+    )
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
@@ -181,18 +188,18 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
     if task.existing_rows is None:
         return _compute_new_rows(task, 0)
     campaign, held = task.campaign, task.existing_rows
-    more = tuple(name for name in campaign.statistics if name not in stored_statistics(held))
-    if not more:
+    new_statistics = tuple(name for name in campaign.statistics if name not in stored_statistics(held))
+    if not new_statistics:
         order = pa.array([method.title for method in campaign.methods])
         whole = pa.concat_tables([held, _compute_new_rows(task, len(held) // len(order))], promote_options="default")
         places = pa.compute.index_in(whole["method"], order).to_numpy()
         return whole.take(np.lexsort((whole["trial"].to_numpy(), places))).combine_chunks()
     if len(held) < n_rows_of_shard(campaign, task.shard):
         return _compute_new_rows(task, 0)
-    only = campaign.model_copy(update={"statistics": more, "verify": 0, "stop": None})
-    added = _compute_new_rows(replace(task, campaign=only), 0, truth_only=more == ("truth",))
-    for column in added.schema:
-        held = held if column.name in held.column_names else held.append_column(column, added[column.name])
+    reduced_campaign = campaign.model_copy(update={"statistics": new_statistics, "verify": 0, "stop": None})
+    new_rows = _compute_new_rows(replace(task, campaign=reduced_campaign), 0, truth_only=new_statistics == ("truth",))
+    for column in new_rows.schema:
+        held = held if column.name in held.column_names else held.append_column(column, new_rows[column.name])
     return held
 
 
@@ -200,31 +207,34 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
     """New rows of a shard after the existing trials; with `truth_only` only the true values, without a calibration."""
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
     cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
-    start = task.shard * campaign.shard
-    first, last = start + n_existing, min(start + campaign.shard, campaign.trials)
-    parts: list[list[ResultColumns]] = [[] for _ in campaign.methods]
-    missing = set(range(first, last))
+    first_trial = task.shard * campaign.shard
+    first, last = first_trial + n_existing, min(first_trial + campaign.shard, campaign.trials)
+    tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
+    missing_numbers = set(range(first, last))
     for judge, calibrators, block in cell.trial_blocks(first, last):
         numbers = block.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
-        missing -= set(numbers[wanted].tolist())
-        checked = wanted[numbers[wanted] < start + campaign.verify]
+        missing_numbers -= set(numbers[wanted].tolist())
+        checked = wanted[numbers[wanted] < first_trial + campaign.verify]
         work = TrialBlock(campaign, judge, block, cell.validation_geometry, wanted, checked, truth_only)
-        for part, calibrator in zip(parts, calibrators, strict=True):
+        for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
-    if missing:
-        empty = np.full(len(missing), np.nan)
+    if missing_numbers:
+        empty = np.full(len(missing_numbers), np.nan)
         failed = {
-            "status": np.full(len(missing), TRIAL_STATUSES.index(WITHOUT_RESULT)),
+            "status": np.full(len(missing_numbers), TRIAL_STATUSES.index(WITHOUT_RESULT)),
             "chi2": empty,
             DIFFERENCE_COLUMN: empty,
         }
-        for part in parts:
-            part.append({"trial": np.array(sorted(missing))} | failed)
-    tables = [method_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
-    whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
-    return append_settings(whole, cell.factors, cell.levels, cell.units)
+        for part in tables_by_method:
+            part.append({"trial": np.array(sorted(missing_numbers))} | failed)
+    tables = [
+        method_table(task.cell, method.title, part)
+        for method, part in zip(campaign.methods, tables_by_method, strict=True)
+    ]
+    full_table = pa.concat_tables(tables, promote_options="default").combine_chunks()
+    return append_settings(full_table, cell.factors, cell.levels, cell.units)
 
 
 @dataclass(frozen=True)
@@ -255,9 +265,9 @@ class TrialBlock:
         """
         if self.validation_evaluator is None:
             return None
-        there = StandardNormalSource(self.campaign.seed, self.block.trials)
+        normal_source = StandardNormalSource(self.campaign.seed, self.block.trials)
         block = self.validation_evaluator.truth.draw_trials(
-            there, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
+            normal_source, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
         )
         return self.validation_evaluator, block, self.validation_evaluator.common_columns(block)
 
@@ -304,17 +314,17 @@ class TrialBlock:
             columns |= parameter_columns(true_labels, true, "true")
         return columns
 
-    def _validation_columns(self, calibrated: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
+    def _validation_columns(self, calibrated_block: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
         if self.validation_block is None:
             return {}
         there, block, before = self.validation_block
         nowhere = np.full(
-            (*there.truth.state.target_points.shape, len(calibrated.chi2)), np.nan
+            (*there.truth.state.target_points.shape, len(calibrated_block.chi2)), np.nan
         )  # no target is adjusted there
-        after = there.method_columns(
-            block, replace(calibrated, target_errors=nowhere), calibrator.construction, calibrator.effects
+        columns = there.method_columns(
+            block, replace(calibrated_block, target_errors=nowhere), calibrator.construction, calibrator.effects
         )
-        return {f"new_point_{name}": values for name, values in (before | after).items() if name.startswith("error_")}
+        return {f"new_point_{name}": values for name, values in (before | columns).items() if name.startswith("error_")}
 
 
 def n_rows_of_shard(campaign: CampaignFile, shard: int) -> int:

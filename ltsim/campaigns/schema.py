@@ -18,6 +18,7 @@ SUMMARY_FILE = "summary.csv"
 DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with differences from the full solver, for the trials that it repeated."""
 PARAMETER_UNIT_TEXT = "of the parameter"
+"""Unit of a column whose numbers are in the unit of the parameter that its name contains."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
 """Status of a trial without a result."""
 ErrorOrigin = Literal["drawn", "stated"]
@@ -44,31 +45,31 @@ class RowColumn(Column):
     """Statistic of the campaign's file to which the column belongs; None for a column of all rows."""
 
 
-def _result_columns(group: StatisticGroup | None, unit: str, **about: str) -> list[RowColumn]:
+def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) -> list[RowColumn]:
     """Columns of a group in one unit, from names and meanings."""
-    return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in about.items()]
+    return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in meanings.items()]
 
 
-def _parameter_column(name: str, unit: str, group: StatisticGroup, meaning: str) -> RowColumn:
-    return RowColumn(f"{name}:", meaning, unit=unit, group=group)
+def _parameter_column(name: str, unit: str, group: StatisticGroup, description: str) -> RowColumn:
+    return RowColumn(f"{name}:", description, unit=unit, group=group)
 
 
-def _criterion_columns(kind: str, meaning: str) -> list[RowColumn]:
+def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
     sizes = {
-        f"{kind}_{when}_{which}_um": f"{word} of {meaning}, {words}"
+        f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
-    gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}
+    gain = {f"{criterion_kind}_improvement_percent": f"100 (1 - after / before) of the mean {criterion_kind} criterion"}
     return _result_columns("criteria", "um", **sizes) + _result_columns("criteria", "%", **gain)
 
 
-def _error_columns(prefix: str, meaning: str) -> list[RowColumn]:
+def _error_columns(prefix: str, description: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     sizes = {
-        f"{prefix}error_raw_um": f"{meaning}; readings without corrections",
-        f"{prefix}error_calibrated_um": f"{meaning}; readings corrected by the estimates",
-        f"{prefix}error_true_parameters_um": f"{meaning}; {floor}",
+        f"{prefix}error_raw_um": f"{description}; readings without corrections",
+        f"{prefix}error_calibrated_um": f"{description}; readings corrected by the estimates",
+        f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
     return _result_columns("errors", "um", **sizes) + _result_columns(
         "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}

@@ -77,18 +77,18 @@ def split_command(command: str) -> list[str]:
 
 
 def run_external_calibrator(
-    calibrator: ExternalCalibrator, recording: Recording, where: str
+    calibrator: ExternalCalibrator, recording: Recording, origin: str
 ) -> dict[str, ParameterEstimate]:
     """Parameters that an external calibrator estimates from a recording, by name.
 
     Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
-    `where`, when it cannot be started or its result does not follow the format.
+    `origin`, when it cannot be started or its result does not follow the format.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
         if given is None:
-            raise CalibratorError(f"the calibrator gave no result (None) for {where}")
-        return _validated_estimates(given, f"the calibrator's result of {where}")
+            raise CalibratorError(f"the calibrator gave no result (None) for {origin}")
+        return _validated_estimates(given, f"the calibrator's result of {origin}")
     words = split_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
@@ -108,28 +108,28 @@ def run_external_calibrator(
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
             detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
             what = f"'{quoted_text(calibrator)}' ended with status {done.returncode}"
-            raise CalibratorError(f"{what} for {where}; {detail}")
+            raise CalibratorError(f"{what} for {origin}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (RecordError, OSError, KeyError, TypeError) as problem:
             message = f"the result is no list of parameters with name, value and unit ({problem!r})"
-            raise RecordError(message, file=where) from None
-        return _validated_estimates(listed, where)
+            raise RecordError(message, file=origin) from None
+        return _validated_estimates(listed, origin)
 
 
-def _validated_estimates(given: object, where: str) -> dict[str, ParameterEstimate]:
+def _validated_estimates(answer: object, origin: str) -> dict[str, ParameterEstimate]:
     try:
-        estimates = _ESTIMATES_ADAPTER.validate_python(given)
+        estimates = _ESTIMATES_ADAPTER.validate_python(answer)
     except ValidationError as problem:
         first = problem.errors()[0]
         place = " ".join(str(part) for part in first["loc"])
-        raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
+        raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=origin) from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=where)
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=origin)
     if not estimates:
-        raise RecordError("no parameter in the result; expected at least one", file=where)
+        raise RecordError("no parameter in the result; expected at least one", file=origin)
     return estimates
 
 
@@ -191,9 +191,9 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     return values
 
 
-def check_true_parameters(names: Sequence[str], true: Collection[str], truth: Truth) -> None:
+def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
     """Check that parameters have true values; raises SetupError for another one."""
-    unknown = [name for name in names if name not in true]
+    unknown = [name for name in names if name not in true_names]
     if unknown:
         raise SetupError(
             f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
@@ -235,10 +235,10 @@ class ExpectedTruth:
         columns = np.concatenate(
             [unknowns.instrument_columns.ravel(), *(unknowns.extra_columns[at] for at in model.incidence_columns)]
         )
-        free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
+        is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
-        missed = np.where(free[:, None] & free, missed, 0.0)
+        missed = np.where(is_free[:, None] & is_free, missed, 0.0)
         return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
 
     @property

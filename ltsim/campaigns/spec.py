@@ -187,8 +187,8 @@ class CampaignFile(TomlSection):
     @property
     def varied_keys(self) -> tuple[str, ...]:
         """Dotted keys and names of links that differ between cells, in the file's order."""
-        listed = (key for cell in self.cells for key in cell)
-        return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
+        keys = (key for cell in self.cells for key in cell)
+        return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
         """Factors that differ between cells; `scenario` is that of any cell. A table is represented by its title."""
@@ -229,17 +229,17 @@ def load_campaign(
     if changes:
         campaign = override_campaign(campaign, changes, path)
     base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
-    common = {
+    common_values = {
         key: convert_value(base, key, value, str(path))
         for key, value in campaign.values_by_key(campaign.settings).items()
     }
-    units = change_scenario(base, common, path)  # with the effects that the settings add
-    made = []
+    units = change_scenario(base, common_values, path)  # with the effects that the settings add
+    items = []
     for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
         inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
-        made.append(change_scenario(base, inside, path, where))
-    return campaign, tuple(made)
+        items.append(change_scenario(base, inside, path, where))
+    return campaign, tuple(items)
 
 
 def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: Path) -> CampaignFile:
@@ -279,13 +279,13 @@ def make_cells(
     """Factors that differ between cells, and the cells; raises SetupError."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
-    common = campaign.model_dump_json(include=deciding, by_alias=True)
+    cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
     for scenario, settings in zip(scenarios, campaign.cell_changes(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         judge = make_validation_scenario(campaign.judge_in, scenario, path) if campaign.judge_in else None
         levels = {factor.name: factor.level(tables) for factor in factors}
         places = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
-        mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
+        mark = hashlib.sha256("\n".join([cell_seed_text, *places]).encode()).hexdigest()
         cells.append(CampaignCell(scenario, judge, settings, levels, mark))
     return factors, tuple(cells)
 
@@ -310,10 +310,10 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
         }
         return change_scenario(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
-    same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
-    room = room.model_copy(update=same)
-    used = {station.instrument or "" for station in room.stations.values()}
-    if used != {*scenario.trackers_in_use}:
+    instruments = {"instrument": scenario.instrument, "instruments": scenario.instruments}
+    room = room.model_copy(update=instruments)
+    instrument_names = {station.instrument or "" for station in room.stations.values()}
+    if instrument_names != {*scenario.trackers_in_use}:
         wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
         raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
     return room
@@ -329,16 +329,16 @@ def local_file(name: str, path: Path) -> Path | None:
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
     """CAD files of the workshops, without duplicates."""
-    named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
-    return [Path(name) for name in dict.fromkeys(named)]
+    file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
+    return [Path(name) for name in dict.fromkeys(file_names)]
 
 
 def _with_cad_digests(scenario: Scenario) -> Scenario:
     """Scenario with the digests of its CAD files in place of their names."""
     room = scenario.workshop
     digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
-    named = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in room.obstacles]
-    return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(named)})})
+    obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in room.obstacles]
+    return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(obstacles)})})
 
 
 def read_cad(path: Path) -> bytes:

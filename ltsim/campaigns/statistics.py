@@ -48,6 +48,7 @@ MAX_ROWS_EXACT_QUANTILES = 50_000_000
 used.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
+"""Criteria of the paper whose improvement [%] a campaign reports."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class CampaignStatistics:
     Parameters
     ----------
     folder : Path
-    below : int, optional
+    max_shards : int, optional
         Only shards of smaller numbers.
 
     Raises
@@ -133,12 +134,12 @@ class CampaignStatistics:
     ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` says what each cell is.
     """
 
-    def __init__(self, folder: Path, below: int | None = None) -> None:
+    def __init__(self, folder: Path, max_shards: int | None = None) -> None:
         store = CampaignFolder(folder)
         self.manifest = store.manifest()
         self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
-        shards = store.shards(below)
+        shards = store.shards(max_shards)
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
@@ -241,11 +242,11 @@ class CampaignStatistics:
             raise unknown_name("column of these rows", column, self.columns)
         return sql_identifier(column)
 
-    def half_interval(self, count: int, deviation: float) -> float:
+    def half_interval(self, n_trials: int, deviation: float) -> float:
         """Half-width of the 95 % confidence interval of a mean, or of a ratio of means."""
         stops = bool(self.manifest.settings.get("stop"))
-        level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, stops=stops)
-        return student_quantile(count, level) * deviation / math.sqrt(count)
+        level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
+        return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:
         """Mean, standard deviation and quantiles of a column in every cell and for every method."""
@@ -269,8 +270,9 @@ class CampaignStatistics:
             summaries.append(StatisticSummary(cell, method, column, count, mean, mean - half, mean + half, *numbers))
         return summaries
 
-    def _query_each_cell(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
-        sql = f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
+    def _query_each_cell(self, expressions: str, condition: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
+        sql = f"SELECT cell, method, {expressions} FROM {rows} WHERE {condition} "
+        sql += "GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
             self._cache[sql] = self.query(sql)
         return self._cache[sql]
@@ -296,11 +298,11 @@ class CampaignStatistics:
         name = self._sql_column(column)
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
-    def term_values(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
+    def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
         """Values (k, n) of SQL terms for the trials of a cell and method, in their order, under a condition."""
         word = method.replace("'", "''")
         rows = self.query(
-            f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {where} "
+            f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
             "ORDER BY trial"
         )
         return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
@@ -327,7 +329,9 @@ class CampaignStatistics:
 
     def summary(self) -> dict[str, Any]:
         """Content of the report as plain data."""
-        wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN]
+        columns_used = [
+            c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
+        ]
         return {
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
@@ -339,10 +343,10 @@ class CampaignStatistics:
             ],
             "ends": [_without_nan(asdict(entry)) for entry in self.solver_comparisons()],
             "levels": QUANTILE_LEVELS,
-            "meanings": {c: described.meaning for c in wanted if (described := find_column(c))},
+            "meanings": {c: described.meaning for c in columns_used if (described := find_column(c))},
             "columns": [
                 _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
-                for column in wanted
+                for column in columns_used
                 for entry in self.distribution(column)
             ],
             "z_scores": [_without_nan(asdict(entry)) for entry in self.z_score_summaries()],

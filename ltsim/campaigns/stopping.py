@@ -30,23 +30,23 @@ ShardKey = tuple[int, int]
 """Shard as a pair of cell number and shard number."""
 
 
-def student_quantile(n_values: int, level: float) -> float:
+def student_quantile(n_values: int, error_rate: float) -> float:
     """Two-sided quantile of Student's t for the mean of `n_values` values at an error rate."""
-    return -float(special.stdtrit(n_values - 1, 0.5 * level)) if n_values > 1 else math.inf
+    return -float(special.stdtrit(n_values - 1, 0.5 * error_rate)) if n_values > 1 else math.inf
 
 
-def interval_error_rate(trials: int, shard: int, *, stops: bool) -> float:
+def interval_error_rate(trials: int, shard: int, *, is_stopping: bool) -> float:
     """Error rate of each interval of a cell; the interval at which a cell stops has `INTERVAL_ERROR_RATE`."""
-    return INTERVAL_ERROR_RATE / len(evaluation_schedule(trials, shard)) if stops else INTERVAL_ERROR_RATE
+    return INTERVAL_ERROR_RATE / len(evaluation_schedule(trials, shard)) if is_stopping else INTERVAL_ERROR_RATE
 
 
 def evaluation_schedule(trials: int, shard: int) -> list[int]:
     """Numbers of shards after which a cell is evaluated."""
-    whole = -(-trials // shard)
-    done = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), whole)]
-    while done[-1] < whole:
-        done.append(min(math.ceil(ROUND_GROWTH_FACTOR * done[-1]), whole))
-    return done
+    n_shards = -(-trials // shard)
+    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), n_shards)]
+    while schedule[-1] < n_shards:
+        schedule.append(min(math.ceil(ROUND_GROWTH_FACTOR * schedule[-1]), n_shards))
+    return schedule
 
 
 def iterate_rounds(

@@ -42,11 +42,11 @@ DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/sha
 
 def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
     """Bytes of a table as a Parquet file; `key` is stored as its metadata."""
-    labelled = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
-    words = [f.name for f in labelled.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
+    table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
+    words = [f.name for f in table_with_key.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
     pq.write_table(
-        labelled,
+        table_with_key,
         sink,
         version="2.6",
         data_page_version="2.0",
@@ -55,7 +55,7 @@ def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
         use_dictionary=words,
         write_statistics=True,
         write_page_checksum=True,
-        row_group_size=max(len(labelled), 1),
+        row_group_size=max(len(table_with_key), 1),
     )
     return sink.getvalue().to_pybytes()
 
@@ -81,10 +81,10 @@ class CampaignFolder:
         """Path of a shard's file."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    def shards(self, below: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order; only those with numbers `below` a limit."""
+    def shards(self, max_shards: int | None = None) -> list[Path]:
+        """Paths of the finished shards in order; only those with numbers `max_shards` a limit."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
-        return [path for path in paths if below is None or path.name < self.shard_path(0, below).name]
+        return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
         """Rows of a finished shard; raises SetupError for a damaged one."""
@@ -136,13 +136,13 @@ class CampaignFolder:
         """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, durable=True)
+            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
-            write_files(self.folder, {name: content}, durable=True)
+            write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
@@ -157,9 +157,11 @@ class CampaignFolder:
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
-        others = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
-        there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
-        return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
+        remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
+        existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
+        return remaining + [
+            n for n, path in existing_paths.items() if not path.is_file() or path.read_bytes() != sources[n]
+        ]
 
     def remove_files(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
@@ -194,11 +196,11 @@ class CampaignFolder:
     def quarantine(self, cell: int, shard: int) -> Path:
         """Path of a damaged shard after it was renamed for inspection."""
         path = self.shard_path(cell, shard)
-        aside = path.with_suffix(".damaged")
-        path_in_folder(self.folder, aside.relative_to(self.folder).as_posix())
+        damaged_path = path.with_suffix(".damaged")
+        path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())
         with self._storage_errors():
-            os.replace(path, aside)
-        return aside
+            os.replace(path, damaged_path)
+        return damaged_path
 
     def remove_unfinished_files(self) -> None:
         """Removal of unfinished files of a killed run: temporary files, and an incomplete line of the digests."""
@@ -208,7 +210,7 @@ class CampaignFolder:
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
             file = self.folder / DIGESTS_FILE
             if file.exists() and file.read_bytes() != lines:
-                write_files(self.folder, {DIGESTS_FILE: lines}, durable=True)
+                write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
@@ -252,5 +254,5 @@ def _file_digest(path: Path) -> str:
 
 def sql_path(path: Path) -> str:
     """Path for SQL, with brackets and asterisks not interpreted as patterns."""
-    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
-    return "'" + plain.replace("'", "''") + "'"
+    escaped_path = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
+    return "'" + escaped_path.replace("'", "''") + "'"

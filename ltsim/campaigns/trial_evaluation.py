@@ -62,9 +62,11 @@ class TrialEvaluator:
         """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
         return self._determines_frame(self.is_measured)
 
-    def _determines_frame(self, use: Bools) -> Bools:
+    def _determines_frame(self, used_targets: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return determines_pose(self._true_targets(1)[:, :, 0], use, flat=MAX_UNDETERMINED_ROTATION_RATIO)
+        return determines_pose(
+            self._true_targets(1)[:, :, 0], used_targets, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+        )
 
     def station_clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
@@ -95,11 +97,11 @@ class TrialEvaluator:
         }
         mean, largest, coordinate_mean, coordinate_largest = columns.values()
         distance_criterion(clouds, self.is_measured, mean, largest)
-        placed = np.empty_like(clouds)
-        placed[0] = clouds[0]
-        for s in range(1, len(placed)):
-            align_rigidly(clouds[s], clouds[0], self.is_measured[s] & self.is_measured[0], placed[s])
-        coordinate_criterion(placed, self.is_measured, coordinate_mean, coordinate_largest)
+        placed_points = np.empty_like(clouds)
+        placed_points[0] = clouds[0]
+        for s in range(1, len(placed_points)):
+            align_rigidly(clouds[s], clouds[0], self.is_measured[s] & self.is_measured[0], placed_points[s])
+        coordinate_criterion(placed_points, self.is_measured, coordinate_mean, coordinate_largest)
         return columns
 
     def _true_targets(self, trials: int) -> Floats:
@@ -114,10 +116,10 @@ class TrialEvaluator:
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
-        moved = np.empty_like(truth)
+        aligned = np.empty_like(truth)
         for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
-            align_rigidly(cloud, truth, visible, moved)
-            count += add_square_error(moved, truth, visible, total)
+            align_rigidly(cloud, truth, visible, aligned)
+            count += add_square_error(aligned, truth, visible, total)
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
@@ -125,12 +127,12 @@ class TrialEvaluator:
 
         Undetermined targets (NaN) are omitted.
         """
-        determined = np.isfinite(points).all(axis=1)
+        is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        patterns = np.ones((1, len(points)), dtype=bool) if determined.all() else np.unique(determined, axis=1).T
+        patterns = np.ones((1, len(points)), dtype=bool) if is_determined.all() else np.unique(is_determined, axis=1).T
         for pattern, fixed in zip(patterns, self._determines_frame(patterns), strict=True):
             if fixed:
-                trials = np.flatnonzero(np.all(determined == pattern[:, None], axis=0))
+                trials = np.flatnonzero(np.all(is_determined == pattern[:, None], axis=0))
                 truth = np.ascontiguousarray(self._true_targets(len(error))[:, :, trials])
                 moved, total = np.empty_like(truth), np.zeros(len(trials))
                 align_rigidly(truth + points[:, :, trials], truth, pattern, moved)
@@ -140,10 +142,10 @@ class TrialEvaluator:
 
     def common_columns(self, block: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
-        raw = self.station_clouds(block.reading_deviations)
+        raw_clouds = self.station_clouds(block.reading_deviations)
         perfect = self.station_clouds(block.reading_deviations, self.truth.construction, block.instrument_values)
-        columns: ResultColumns = self.criteria_columns(raw, "before") if self.has_criteria else {}
-        columns["error_raw_um"] = self.cloud_error(raw)
+        columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
+        columns["error_raw_um"] = self.cloud_error(raw_clouds)
         columns["error_true_parameters_um"] = self.cloud_error(perfect)
         return columns
 
@@ -163,8 +165,8 @@ class TrialEvaluator:
             deviation = deviation - np.einsum(
                 "ncqb,qb->ncb", self.truth.effect_design_function(tuple(effects)), estimates.effect_values
             )
-        calibrated = self.station_clouds(deviation, construction, estimates.instrument_values)
-        columns: ResultColumns = self.criteria_columns(calibrated, "after") if self.has_criteria else {}
-        columns["error_calibrated_um"] = self.cloud_error(calibrated)
+        corrected_clouds = self.station_clouds(deviation, construction, estimates.instrument_values)
+        columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}
+        columns["error_calibrated_um"] = self.cloud_error(corrected_clouds)
         columns["target_error_um"] = self.target_error(estimates.target_errors)
         return columns

@@ -136,9 +136,9 @@ class CellTruth:
         return self._chain_cache[-1][1]
 
     def _compute_chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
-        nominal = self.recording.readings
-        by_value = construction.reading_design(nominal, np.zeros(construction.n_parameters))[1]
-        return ChainProgram.from_construction(construction, nominal), by_value
+        nominal_readings = self.recording.readings
+        by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
+        return ChainProgram.from_construction(construction, nominal_readings), by_value
 
     def chain_program(self, construction: Construction) -> ChainProgram:
         """Kinematic chain of a construction about the nominal readings."""
@@ -158,18 +158,18 @@ class CellTruth:
         miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.value_sigmas)
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw_block(self, seed: int, number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
+    def draw_block(self, seed: int, block_number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
         """Trials from number ``width * number`` on, as a block."""
-        return self.draw_trials(StandardNormalSource(seed, width * number + np.arange(width)))
+        return self.draw_trials(StandardNormalSource(seed, width * block_number + np.arange(width)))
 
     def draw_trials(
-        self, numbers: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
+        self, normal_source: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialBatch:
         """Block of the trials with these numbers.
 
         `instrument_values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDistributions`.
         """
-        draw = self.distributions.draw(numbers, values, stream_key=stream_key)
+        draw = self.distributions.draw(normal_source, values, stream_key=stream_key)
         return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
     def block_from_draw(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
@@ -202,19 +202,21 @@ class CellTruth:
             parts.append(np.where(self.recorded_observables, gap, 0.0))
         return np.stack(parts, axis=2)
 
-    def _exact_deviations(self, values: Floats) -> Floats:
+    def _exact_deviations(self, true_parameters: Floats) -> Floats:
         """Exact readings of the true instrument minus nominal readings, by Newton's method from the linear ones."""
         which, sightings = self.recording.instrument, self.sightings
         program, by_value = self.chain_and_design(self.construction)
-        deviation = np.empty((len(which), 3, values.shape[2]))
-        for i, parameters in enumerate(values):
+        deviation = np.empty((len(which), 3, true_parameters.shape[2]))
+        for i, parameters in enumerate(true_parameters):
             deviation[which == i] = by_value[which == i] @ parameters
-        compute_readings(program, which, sightings.local_points, sightings.local_derivatives, values, deviation)
+        compute_readings(
+            program, which, sightings.local_points, sightings.local_derivatives, true_parameters, deviation
+        )
         return deviation
 
-    def _effect_change(self, place: int, amounts: Floats) -> Floats:
+    def _effect_change(self, effect_index: int, amounts: Floats) -> Floats:
         """Change (n, 3, B) of the readings by one effect."""
-        entry, linear = self.effects[place], self._linear_effects[place]
+        entry, linear = self.effects[effect_index], self._linear_effects[effect_index]
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
@@ -253,10 +255,10 @@ def make_cell_truth(
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    work = make_geometry(scenario, seed, *key, plan=plan)
-    if work.sightings.reflector_offsets is not None and np.any(work.sightings.reflector_offsets):
+    geometry = make_geometry(scenario, seed, *key, plan=plan)
+    if geometry.sightings.reflector_offsets is not None and np.any(geometry.sightings.reflector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
-    s, reference = work.sightings, None if reference_truth is None else reference_truth.recording
+    s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
     if (
         reference_truth
         and reference
@@ -266,26 +268,26 @@ def make_cell_truth(
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
         there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw_readings, notes=work.hidden_pair_notes),
-            _start_frame(work, there.instrument_means),
+            reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
+            _start_frame(geometry, there.instrument_means),
         )
-        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=work)
-    recording = error_free_recording(work)
-    population = trial_distributions(work, recording)
+        return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)
+    recording = error_free_recording(geometry)
+    population = trial_distributions(geometry, recording)
     return CellTruth(
         recording=recording,
-        state=_start_frame(work, population.instrument_means),
+        state=_start_frame(geometry, population.instrument_means),
         distributions=population,
         resolution=instrument_resolutions(scenario),
         recorded_observables=np.isin(OBSERVABLES, [*next(iter(read))]),
-        geometry=work,
+        geometry=geometry,
     )
 
 
-def _start_frame(work: MeasurementGeometry, mean: Floats) -> NetworkState:
+def _start_frame(geometry: MeasurementGeometry, mean: Floats) -> NetworkState:
     """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
-    s = work.sightings
-    if any(station.levelled for station in work.scenario.stations.values()):
+    s = geometry.sightings
+    if any(station.levelled for station in geometry.scenario.stations.values()):
         return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean)
     origin, turn = s.station_positions[0], s.station_rotations[0]
     return NetworkState(

@@ -95,7 +95,7 @@ def correct(
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.read(source), read_calibration(calibration)
-    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
+    corrected_recording = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
     terminal.print_notes((*recording.notes, *instrument.warnings))
     if not instrument.instrument_parameter_names:
         terminal.print_notes(["this calibration contains no instrument parameters; the readings do not change"])
@@ -104,18 +104,20 @@ def correct(
         terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)
-    lt.write(corrected, out)
-    change = corrected.readings - recording.readings
+    lt.write(corrected_recording, out)
+    change = corrected_recording.readings - recording.readings
     change[:, 1:] = wrap_angle(change[:, 1:])
-    largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
+    max_changes = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
-    terminal.print_json({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
-    distance, azimuth, elevation = largest
+    terminal.print_json(
+        {"pointings": len(recording), "largest_change": dict(zip(keys, max_changes.tolist(), strict=True))}
+    )
+    distance, azimuth, elevation = max_changes
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
-    applied = f"{len(recording)} pointings corrected by {sizes}"
+    phrase = f"{len(recording)} pointings corrected by {sizes}"
     terminal.print_text(
-        applied
-        if np.any(largest >= MIN_REPORTED_READING_CHANGE)
+        phrase
+        if np.any(max_changes >= MIN_REPORTED_READING_CHANGE)
         else "no correction was applied: the readings do not change"
     )
     terminal.print_text(f"written to {out}")
@@ -143,8 +145,8 @@ def evaluate(
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.print_notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
-    applied = None if calibration is None else read_calibration_with_notes(terminal, calibration)
-    _write_and_print_criteria(terminal, lt.evaluate(recording, applied))
+    input_calibration = None if calibration is None else read_calibration_with_notes(terminal, calibration)
+    _write_and_print_criteria(terminal, lt.evaluate(recording, input_calibration))
 
 
 def verify(
@@ -165,8 +167,8 @@ def verify(
 
     terminal.check_overwrite(Criteria)
     recording = reading.read_and_report(source, terminal)
-    applied = read_calibration_with_notes(terminal, calibration)
-    _write_and_print_criteria(terminal, lt.verify(recording, nominal, applied))
+    input_calibration = read_calibration_with_notes(terminal, calibration)
+    _write_and_print_criteria(terminal, lt.verify(recording, nominal, input_calibration))
 
 
 def _run_estimation(
@@ -291,11 +293,11 @@ def history(
     from ltsim.reports.sections import result_section
 
     terminal.check_overwrite(History, "history.svg")
-    opened: dict[str, Calibration | Recording] = {}
+    open_files: dict[str, Calibration | Recording] = {}
     for source in sources:
-        opened |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
+        open_files |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
     with terminal.show_progress("calibrating"):
-        content = lt.history(opened, **options)
+        content = lt.history(open_files, **options)
 
     def history_picture() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
@@ -303,8 +305,8 @@ def history(
 
         return {"history.svg": svg_text(history_figure(content.labels, content.determined_parameters))}
 
-    written = terminal.write_result(content, history_picture)
-    terminal.print_result(written)
+    paths = terminal.write_result(content, history_picture)
+    terminal.print_result(paths)
     return 1 if fail_on_change and result_section(content).assessment == "bad" else 0
 
 

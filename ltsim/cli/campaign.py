@@ -95,8 +95,8 @@ def campaign(
     for note in outcome.notes:
         terminal.print_note(note)
     terminal.print_json(summary)
-    again = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
-    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{again}\n")
+    suffix = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
+    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{suffix}\n")
     if not terminal.is_silent:
         terminal.print_text(campaign_section(folder).terminal_text())
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
@@ -188,18 +188,20 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
     """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
     checks, unchecked = result.checks, result.unchecked
     failed, seconds = len(result.failed_checks()), result.arrays.run_time
-    each = f"{seconds / len(checks):.3f}"
-    lost = 0 if result.allow_unchecked else len(unchecked)
+    seconds_text = f"{seconds / len(checks):.3f}"
+    n_failures = 0 if result.allow_unchecked else len(unchecked)
     counts = {
         "tests": str(len(checks) + len(unchecked)),
-        "failures": str(failed + lost),
+        "failures": str(failed + n_failures),
         "errors": "0",
-        "skipped": str(len(unchecked) - lost),
+        "skipped": str(len(unchecked) - n_failures),
         "time": f"{seconds:.3f}",
     }
     root = Element("testsuite", {"name": f"ltsim recover {suite_name}", **counts})
     for check in checks:
-        case = SubElement(root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=each)
+        case = SubElement(
+            root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=seconds_text
+        )
         inside = SubElement(case, "properties")
         for name in ("value", "low", "high"):
             SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
@@ -207,5 +209,7 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
             SubElement(case, "failure", message=check.sentence())
     for name in unchecked:
         case = SubElement(root, "testcase", classname=f"recover.{name}", name="not checked", time="0.000")
-        SubElement(case, "failure" if lost else "skipped", message=f"{name} is not checked: some trials have no sigma")
+        SubElement(
+            case, "failure" if n_failures else "skipped", message=f"{name} is not checked: some trials have no sigma"
+        )
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -90,19 +90,19 @@ def mpe_of(text: str | None) -> tuple[float, float] | None:
     """Limit `A,B` in um and um/m as numbers; raises RecordError unless A > 0 and B >= 0. None if not given."""
     if text is None:
         return None
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
+    pieces = [part.strip() for part in text.split(",")]
+    if len(pieces) != 2 or not all(is_number(part) and float(part) >= 0 for part in pieces) or not float(pieces[0]) > 0:
         raise RecordError(f"--mpe is {text}, expected A,B in um and um/m, for instance 20,6")
-    return float(parts[0]), float(parts[1])
+    return float(pieces[0]), float(pieces[1])
 
 
 def wait_for_changes(source: Path) -> Iterator[None]:
     """Iterator that yields at once and then whenever a file of the recording has changed."""
-    last: tuple[tuple[str, int, int], ...] | None = None
+    last_state: tuple[tuple[str, int, int], ...] | None = None
     while True:
         now = _file_states(source)
-        if now != last:
-            last = now
+        if now != last_state:
+            last_state = now
             yield
         time.sleep(POLL_INTERVAL)
 
@@ -124,7 +124,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
 
     A file that cannot be read or checked yet is tried again at the next step; each reason is reported once.
     """
-    reported: set[tuple[str, str, tuple[str, ...]]] = set()
+    reported_texts: set[tuple[str, str, tuple[str, ...]]] = set()
     reasons: set[str] = set()
     for _ in changes:
         try:
@@ -138,11 +138,11 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _item_key(item) not in reported:
+            if _item_key(item) not in reported_texts:
                 terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
-        if (reported and not failed) or not reported.union(map(_item_key, failed)):
+        if (reported_texts and not failed) or not reported_texts.union(map(_item_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported = set(map(_item_key, failed))
+        reported_texts = set(map(_item_key, failed))
         if streams.is_reader_gone():
             return
 
@@ -279,23 +279,23 @@ def uncertainty(
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
-    drawn = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
-    recording = _recording_of_tasks(terminal, tasks, file, drawn, source_is_in_file=source is None)
+    seed = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
+    recording = _recording_of_tasks(terminal, tasks, file, seed, source_is_in_file=source is None)
     with terminal.show_progress("drawing trials"):
         content = lt.uncertainty(recording, tasks, **options)
-    other = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
+    comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
     content = terminal.write_result(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
-    if other is not None:
-        answer["against"] = [{"result": name, "E_n": value} for name, value in other]
+    if comparison is not None:
+        answer["against"] = [{"result": name, "E_n": value} for name, value in comparison]
     terminal.print_json(answer)
     terminal.print_text("\n" + result_section(content).terminal_text())
-    if other is not None:
-        head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]
+    if comparison is not None:
+        head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in comparison]
         text = (
             f"Against the other results (|E_n| up to 1 agrees):\n{align_columns(head, rows)}"
-            if other
+            if comparison
             else NO_COMMON_RESULT_TEXT
         )
         terminal.print_text(f"\n{text}")

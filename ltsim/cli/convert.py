@@ -48,6 +48,6 @@ def convert(
     terminal.print_text(recording.headline)
     width = max(map(len, topics))
     terminal.print_text("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
-    assumed = f"see the {len(recording.notes)} notes above" if recording.notes else "nothing"
-    terminal.print_text(f"  {'assumed':{width}}  {assumed}")
+    notes_text = f"see the {len(recording.notes)} notes above" if recording.notes else "nothing"
+    terminal.print_text(f"  {'assumed':{width}}  {notes_text}")
     terminal.print_text(f"written to {destination} ({to})")

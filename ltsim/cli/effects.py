@@ -56,8 +56,8 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 
 def _title_and_cause(effect: type[Effect]) -> str:
-    listed = catalogue_entry(effect)
-    return f"{listed.title}: {listed.cause_description}"
+    entry = catalogue_entry(effect)
+    return f"{entry.title}: {entry.cause_description}"
 
 
 def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
@@ -123,7 +123,7 @@ def catalogue_entry_text(effect: type[Effect]) -> str:
         rows = [
             [p.name, f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, p.description] for p in effect.parameters
         ]
-        lines += ["", align_columns(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
+        lines += ["", align_columns(["parameter", "plausible size", "unit", "meaning"], rows, n_text_columns=4)]
     if effect.shape_parameters:
         rows = [
             [
@@ -134,5 +134,5 @@ def catalogue_entry_text(effect: type[Effect]) -> str:
             ]
             for s in effect.shape_parameters
         ]
-        lines += ["", align_columns(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
+        lines += ["", align_columns(["constant", "searched", "unit", "meaning"], rows, n_text_columns=4)]
     return "\n".join([*lines, "", CONVENTIONS_TEXT])

@@ -179,14 +179,14 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
     at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
     single[at:at] = [option.typer_parameter for option in taken]
 
-    def run(**given: Any) -> Any:
-        places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
-        check_outputs(places, force=given.get("force", False))
-        if given.get("as_json") and streams.is_output_closed():
+    def run(**values: Any) -> Any:
+        places = ((flag, values[name], output) for name, flag, output in outputs if values[name] is not None)
+        check_outputs(places, force=values.get("force", False))
+        if values.get("as_json") and streams.is_output_closed():
             raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
-            given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
-        return function(**given | {option.name: option.argument_value(given[option.name]) for option in taken})
+            values[key] = group(**{f.name: values.pop(f.name) for f in fields(group)})
+        return function(**values | {option.name: option.argument_value(values[option.name]) for option in taken})
 
     run.__doc__ = function.__doc__
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
@@ -389,7 +389,7 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return with_axes_of_points(recording, read_points(frame, strict=False).by_name, str(frame))
+            return with_axes_of_points(recording, read_points(frame, requires_all=False).by_name, str(frame))
         named = read_toml(frame, "frame")
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return with_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))

@@ -84,11 +84,11 @@ def check_overwrite(
     """
     if folder is None:
         return
-    taken = _existing_file_names(folder, (model.FILE, *names))
+    existing_names = _existing_file_names(folder, (model.FILE, *names))
     if force:
         return
-    if taken and not _is_replaceable(folder, model, taken, is_of_same_command):
-        _raise_occupied_folder(folder, taken)
+    if existing_names and not _is_replaceable(folder, model, existing_names, is_of_same_command):
+        _raise_occupied_folder(folder, existing_names)
     _check_no_foreign_files(folder)
 
 
@@ -111,21 +111,21 @@ def _existing_file_names(folder: Path, names: Iterable[str]) -> list[str]:
     Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
     check_writable(folder, folder=True)
-    finished = complete_interrupted_moves(folder) if folder.is_dir() else set()
+    finished_moves = complete_interrupted_moves(folder) if folder.is_dir() else set()
     for name in names:
         path_in_folder(folder, name)
-    return [name for name in names if os.path.lexists(folder / name) and name not in finished]
+    return [name for name in names if os.path.lexists(folder / name) and name not in finished_moves]
 
 
 def check_recording_folder(folder: Path, force: bool) -> None:
     """Check that a recording neither replaces another one nor is written among other files; raises RecordError."""
     from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
-    taken = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
+    existing_names = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
     if force:
         return
-    if taken:
-        _raise_occupied_folder(folder, taken)
+    if existing_names:
+        _raise_occupied_folder(folder, existing_names)
     _check_no_foreign_files(folder)
 
 
@@ -158,8 +158,8 @@ def _check_no_foreign_files(folder: Path) -> None:
     from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
-    written = {OBSERVATIONS_FILE, SETUP_FILE}.union(*map(_ltsim_file_names, files))
-    foreign = sorted({p.name for p in files} - written)
+    output_names = {OBSERVATIONS_FILE, SETUP_FILE}.union(*map(_ltsim_file_names, files))
+    foreign = sorted({p.name for p in files} - output_names)
     if foreign:
         raise RecordError(
             f"the folder contains {listing(foreign, 3)}, which ltsim did not create; "

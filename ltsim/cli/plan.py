@@ -199,8 +199,11 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     from ltsim.reports.style import png_bytes
     from ltsim.reports.work_order import work_order_page
 
-    drawn = {WORK_ORDER_FILE: work_order_page(plan_result).encode(), FLOOR_PLAN_FILE: png_bytes(plan_result.plot())}
-    return drawn | (
+    content_by_name = {
+        WORK_ORDER_FILE: work_order_page(plan_result).encode(),
+        FLOOR_PLAN_FILE: png_bytes(plan_result.plot()),
+    }
+    return content_by_name | (
         {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.quality))))}
         if plan_result.tradeoff
         else {}
@@ -219,19 +222,19 @@ def _percent_callback(advance_bar: Any) -> Any:
     return report
 
 
-def _effect_names(between: str | None) -> tuple[str, ...]:
-    if between is None:
+def _effect_names(effect_list: str | None) -> tuple[str, ...]:
+    if effect_list is None:
         return ()
-    names = tuple(name.strip() for name in between.split(","))
+    names = tuple(name.strip() for name in effect_list.split(","))
     if len(names) < 2 or not all(names) or len(set(names)) < len(names):
         raise SetupError(
-            f"--between is {between}, expected two or more different effects, such as range-step,station-weather"
+            f"--between is {effect_list}, expected two or more different effects, such as range-step,station-weather"
         )
     return names
 
 
 def _propose_next_measurement(
-    terminal: Terminal, recording: Recording, effect_names: tuple[str, ...], out: Path | None
+    terminal: Terminal, recording: Recording, effect_names: tuple[str, ...], result_folder: Path | None
 ) -> None:
     from ltsim.diagnosis.detectability import ambiguous_explanations
     from ltsim.recordings.result_file import write_result
@@ -254,7 +257,7 @@ def _propose_next_measurement(
             progress=lambda task, fraction: reports.setdefault(task, _percent_callback(advance))(task, fraction),
         )
     content = content.model_copy(update={"diagnosis": summary})
-    if out is not None:
+    if result_folder is not None:
         table = content.table()
-        content = write_result(out, content, {table.file: table.csv()})
-    terminal.print_result(content, out)
+        content = write_result(result_folder, content, {table.file: table.csv()})
+    terminal.print_result(content, result_folder)

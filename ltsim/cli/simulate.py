@@ -228,54 +228,54 @@ def demo(
     terminal.print_json({"folder": str(out), "steps": outcomes})
 
 
-def simulate_workshop(out: Path, seed: int) -> str:
+def simulate_workshop(demo_folder: Path, seed: int) -> str:
     """Measure the paper's workshop with a drawn instrument."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
-    lt.write(recording, out / "workshop" / "recording")
-    lt.write(truth, out / "workshop" / "truth.json")
+    lt.write(recording, demo_folder / "workshop" / "recording")
+    lt.write(truth, demo_folder / "workshop" / "truth.json")
     return (
         f"{len(recording.stations)} stations, {len(recording.targets)} reflectors, {len(recording)} pointings; "
         "the instrument's errors are drawn from its specification"
     )
 
 
-def calibrate_workshop(out: Path, seed: int) -> str:
+def calibrate_workshop(demo_folder: Path, seed: int) -> str:
     """Calibrate that recording."""
     from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     calibration = lt.calibrate(recording)
-    lt.write(calibration, out / "workshop")
+    lt.write(calibration, demo_folder / "workshop")
     return result_section(calibration).summary
 
 
-def diagnose_injected_effect(out: Path, seed: int) -> str:
+def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
     """Inject an effect into another recording and diagnose it."""
     from ltsim.core.randomness import stream
     from ltsim.physics.effects import title_of
 
     entry = DEMO_EFFECTS[int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
-    folder = out / "concealed"
+    folder = demo_folder / "concealed"
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)
     lt.write(diagnosis, folder, recording=recording)
     lt.write(truth, folder / "truth.json")
     return f"injected: {title_of(entry['name'])} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
 
 
-def run_demo_campaign(out: Path, seed: int) -> str:
+def run_demo_campaign(demo_folder: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
     from ltsim.reports.sections.campaign import campaign_section
 
-    write_texts(out, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
-    results = lt.campaign(out / "campaign.toml", force=True)
-    write_texts(out / "campaign", {"summary.csv": results.table("summary").csv()})
-    return campaign_section(out / "campaign").summary
+    write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
+    results = lt.campaign(demo_folder / "campaign.toml", force=True)
+    write_texts(demo_folder / "campaign", {"summary.csv": results.table("summary").csv()})
+    return campaign_section(demo_folder / "campaign").summary
 
 
-def write_demo_page(out: Path, seed: int) -> str:
+def write_demo_page(demo_folder: Path, seed: int) -> str:
     """Put everything on one page."""
-    return f"open {lt.report(out, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
+    return f"open {lt.report(demo_folder, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
 
 
 DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {

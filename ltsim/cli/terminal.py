@@ -71,7 +71,7 @@ class Terminal:
         for note in notes:
             self.print_note(f"note: {note}")
 
-    def print_result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+    def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
         """Output of a result: as JSON, or as the text of its section of the page without figures."""
         self.print_json(content.content())
         if not self.is_silent:
@@ -79,12 +79,12 @@ class Terminal:
 
             self.print_text("\n" + result_section(content).terminal_text())
         self.print_notes(notes)
-        self.print_folder(out)
+        self.print_folder(result_folder)
 
-    def print_folder(self, out: Path | None) -> None:
+    def print_folder(self, result_folder: Path | None) -> None:
         """Output of the result folder and of the command that displays it."""
-        if out is not None:
-            self.print_text(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+        if result_folder is not None:
+            self.print_text(f"\nwritten to {result_folder}; for a page with pictures: ltsim report {result_folder}")
 
     def print_json(self, content: Any) -> None:
         """Output of the result as JSON, if requested."""
@@ -162,6 +162,6 @@ class ResultTerminal(Terminal):
 
         return content if self.out is None else write_result(self.out, content, companion_contents())
 
-    def print_result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+    def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
         """Output of a result and of the folder to which it was written."""
-        super().print_result(content, out or self.out, notes)
+        super().print_result(content, result_folder or self.out, notes)

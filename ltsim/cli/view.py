@@ -110,15 +110,15 @@ def view(
         shown.show()
 
 
-def _serve_planner(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
+def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
     from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
     for name in (SCENARIO_FILE, PLAN_FILE):
-        check_new_file(out / name, force)
+        check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
-        access = PlannerRequests(MovableLayout.from_plan(plan), out)
+        access = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
 
     def announce(address: str) -> None:
         terminal.print_always(address)
@@ -161,9 +161,9 @@ def report(
     terminal.print_text(f"written to {page}")
 
 
-def _page_header(**given: str | None) -> About:
+def _page_header(**header_values: str | None) -> About:
     """Header of the page from the options; raises SetupError."""
     try:
-        return About.model_validate(given)
+        return About.model_validate(header_values)
     except ValidationError as problem:
         raise SetupError(f"--{validation_sentence(problem.errors()[0], About)}") from None

@@ -23,32 +23,32 @@ MOVE_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degre
 """Syntax of a moved station, for messages and help."""
 
 
-def range_text(name: str) -> str:
+def range_text(argument_name: str) -> str:
     """Range of an argument as text: `0 or more`, `1 to 256`."""
-    low, high = ARGUMENT_BOUNDS[name]
+    low, high = ARGUMENT_BOUNDS[argument_name]
     number = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"
 
 
-def check_bounds(*, required: str = "", **given: object) -> None:
+def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
     """Check of numeric arguments against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
 
-    None means that an argument was not given; it is an error for the arguments in `required`, names separated by
-    blanks.
+    None means that an argument was not given; it is an error for the arguments in `required_argument`, names separated
+    by blanks.
     """
-    for name, value in given.items():
+    for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
         whole = isinstance(low, int)
         is_number = not isinstance(value, bool) and isinstance(value, Integral if whole else Real) and isfinite(value)
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
-        if not (good or (value is None and name not in required.split())):
+        if not (good or (value is None and name not in required_argument.split())):
             kind = "a whole number" if whole else "a number"
             raise SetupError(f"{option(name)} is {value}, expected {kind}, {range_text(name)}")
 
 
-def bounded_parser(name: str) -> Callable[[object], int | float]:
+def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
     """Parser of a numeric argument on the command line; it raises SetupError under the conditions of `check_bounds`."""
-    kind = int if isinstance(ARGUMENT_BOUNDS[name][0], int) else float
+    kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
     def parse_bounded(text: object) -> int | float:
         value: object = text
@@ -57,28 +57,30 @@ def bounded_parser(name: str) -> Callable[[object], int | float]:
                 value = kind(text)
             except ValueError:
                 value = text
-        given: dict[str, Any] = {name: value}
-        check_bounds(**given)
+        values: dict[str, Any] = {argument_name: value}
+        check_bounds(**values)
         return value  # type: ignore[return-value]
 
     return parse_bounded
 
 
-def check_choice(name: str, value: object, choices: Sequence[str], *, optional: bool = False) -> None:
-    """Check that an argument is one of its choices; raises SetupError. None is permitted for an `optional` argument."""
-    if value not in choices and not (optional and value is None):
-        raise SetupError(f"{option(name)} is {value}, expected {' or '.join(choices)}")
+def check_choice(
+    argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
+) -> None:
+    """Check that an argument is one of its choices, or None with `allow_none`; raises SetupError."""
+    if argument_value not in choices and not (allow_none and argument_value is None):
+        raise SetupError(f"{option(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
-def check_mapping(name: str, value: object) -> None:
+def check_mapping(argument_name: str, argument_value: object) -> None:
     """Check that an argument is a mapping or None; raises SetupError."""
-    if value is not None and not isinstance(value, Mapping):
-        raise SetupError(f"{option(name)} is {value}, expected a mapping")
+    if argument_value is not None and not isinstance(argument_value, Mapping):
+        raise SetupError(f"{option(argument_name)} is {argument_value}, expected a mapping")
 
 
-def source_path(source: object) -> Path:
+def source_path(path_or_name: object) -> Path:
     """Path or name of a source; raises SetupError for another object, and for an empty text."""
-    text = fspath(source) if isinstance(source, str | PathLike) else None
+    text = fspath(path_or_name) if isinstance(path_or_name, str | PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
-        raise SetupError(f"the source is {source!r}, expected the name of a built-in one, or the path of a file")
+        raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in one, or the path of a file")
     return Path(text)

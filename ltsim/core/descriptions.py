@@ -44,18 +44,18 @@ def descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 
 @cache
-def _docstrings(module: str) -> dict[str, dict[str, str]]:
+def _docstrings(module_name: str) -> dict[str, dict[str, str]]:
     """Docstrings below the annotated names of each class of a module, by the qualified name of the class."""
     try:
-        tree = ast.parse(inspect.getsource(sys.modules[module]))
+        tree = ast.parse(inspect.getsource(sys.modules[module_name]))
     except (OSError, TypeError):  # no source is at hand, as in an interactive session
         return {}
     return dict(_descriptions_of_classes(tree.body, ""))
 
 
-def _descriptions_of_classes(body: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
+def _descriptions_of_classes(statements: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
     classes = []
-    for node in body:
+    for node in statements:
         if isinstance(node, ast.ClassDef):
             texts = {
                 first.target.id: inspect.cleandoc(second.value.value)

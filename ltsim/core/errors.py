@@ -51,12 +51,12 @@ class SetupError(LtsimError):
 
 
 @contextmanager
-def as_setup_error(place: str = "") -> Iterator[None]:
-    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `place` as prefix."""
+def as_setup_error(error_location: str = "") -> Iterator[None]:
+    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `error_location` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
-        raise SetupError(f"{place}: {problem}" if place else str(problem)) from None
+        raise SetupError(f"{error_location}: {problem}" if error_location else str(problem)) from None
 
 
 class ModelError(LtsimError):
@@ -93,6 +93,7 @@ class ConvergenceError(LtsimError):
 MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
 _SPELLING = {"flags": False}
+"""Spelling of options in messages: as flags of the command line, or as arguments in Python."""
 FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
 """Command-line spelling of the options that are not named like their Python parameter."""
 
@@ -107,28 +108,28 @@ def options_are_flags() -> Iterator[None]:
         _SPELLING["flags"] = before
 
 
-def option(name: str) -> str:
+def option(argument_name: str) -> str:
     """Spelling of an option for the reader: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
     if not _SPELLING["flags"]:
-        return name
-    return FLAG_SPELLINGS.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
+        return argument_name
+    return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
 
-def missing_extra(feature: str, extra: str) -> SetupError:
+def missing_extra(feature_name: str, extra_name: str) -> SetupError:
     """SetupError for a function that needs packages of an extra."""
-    return SetupError(f"{feature} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+    return SetupError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
-def require(packages: Sequence[str], feature: str, extra: str) -> None:
+def require(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
     """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
-    if not all(is_installed(name) for name in packages):
-        raise missing_extra(feature, extra)
+    if not all(is_installed(name) for name in package_names):
+        raise missing_extra(feature_name, extra_name)
 
 
-def is_installed(package: str) -> bool:
+def is_installed(package_name: str) -> bool:
     """True where a package can be imported."""
     try:
-        return find_spec(package) is not None
+        return find_spec(package_name) is not None
     except ValueError:  # it was hidden from this process
         return False
 
@@ -138,9 +139,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
-def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
+def unknown_name(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the closest valid ones."""
-    choices = sorted(valid)
-    short = printable(name if len(name) <= MAX_QUOTED_NAME_LENGTH else f"{name[:MAX_QUOTED_NAME_LENGTH]}...")
+    choices = sorted(valid_names)
+    short = printable(
+        unknown_name_text
+        if len(unknown_name_text) <= MAX_QUOTED_NAME_LENGTH
+        else f"{unknown_name_text[:MAX_QUOTED_NAME_LENGTH]}..."
+    )
     close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
-    return ModelError(f"there is no {kind} called '{short}'; did you mean {', '.join(close)}?")
+    return ModelError(f"there is no {object_kind} called '{short}'; did you mean {', '.join(close)}?")

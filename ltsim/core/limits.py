@@ -100,7 +100,7 @@ MAX_OBSTACLE_TRIANGLES = 200_000
 is read, and 1,500 in a hall where it may hide targets."""
 
 
-def max_pointings(limit: int) -> int:
+def max_pointings(default_limit: int) -> int:
     """Largest number of pointings of a network: a limit of this module, or the environment variable if it is larger.
 
     Raises ModelError where the variable is no whole number.
@@ -110,4 +110,4 @@ def max_pointings(limit: int) -> int:
         raise ModelError(
             f"the environment variable {POINTINGS_LIMIT_VARIABLE} is {text!r}; expected a whole number of pointings"
         )
-    return max(limit, int(text or 0))
+    return max(default_limit, int(text or 0))

@@ -13,18 +13,19 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text of a missing number; never `nan`."""
 MAX_DECIMALS = 12
+"""Largest number of decimals of a displayed standard deviation: with sigmas below 1e-12 it shows 0."""
 
 
-def number_text(value: float | None, digits: int = 3) -> str:
-    """Number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
+def number_text(value: float | None, n_digits: int = 3) -> str:
+    """Number with `n_digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if value == 0:
         return "0"
     size = abs(value)
     if not 1e-4 <= size < 1e6:
-        return f"{value:.{max(digits - 1, 0)}e}"
-    return fixed_point_text(value, max(digits - 1 - math.floor(math.log10(size)), 0))
+        return f"{value:.{max(n_digits - 1, 0)}e}"
+    return fixed_point_text(value, max(n_digits - 1 - math.floor(math.log10(size)), 0))
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
@@ -37,25 +38,27 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
     return f"{fixed_point_text(value, places)} +- {fixed_point_text(sigma, places)} {unit}".rstrip()
 
 
-def with_expanded_uncertainty(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
+def with_expanded_uncertainty(
+    value: float | None, expanded_uncertainty: float | None, unit: str = "", coverage_factor: float = 2.0
+) -> str:
     """`1.23 um, U = 0.20 um (k = 2)`: value and expanded uncertainty of a coverage factor."""
-    if u is None or not (math.isfinite(u) and u > 0):
+    if expanded_uncertainty is None or not (math.isfinite(expanded_uncertainty) and expanded_uncertainty > 0):
         return with_sigma(value, None, unit)
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
-    places = decimals_of_sigma(u)
-    measured, half = (f"{fixed_point_text(v, places)} {unit}".rstrip() for v in (value, u))
-    return f"{measured}, U = {half} (k = {factor:.3g})"
+    places = decimals_of_sigma(expanded_uncertainty)
+    measured, half = (f"{fixed_point_text(v, places)} {unit}".rstrip() for v in (value, expanded_uncertainty))
+    return f"{measured}, U = {half} (k = {coverage_factor:.3g})"
 
 
 def decimals_of_sigma(sigma: float) -> int:
     """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
-    rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
-    return min(max(1 - math.floor(math.log10(rounded)), 0), MAX_DECIMALS)
+    rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
+    return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
 
 
-def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """Rows as aligned text: the first `text_columns` columns flush left, the others flush right.
+def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:
+    """Rows as aligned text: the first `n_text_columns` columns flush left, the others flush right.
 
     Raises ModelError when a row is not as long as the header.
     """
@@ -65,23 +68,23 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], text_col
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if i < text_columns else cell.rjust(width)
+            cell.ljust(width) if i < n_text_columns else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
     )
 
 
-def listing(words: Sequence[str], max_words: int = 6) -> str:
-    """Words with commas; those beyond `max_words` are counted: `a, b and 3 more`."""
-    if len(words) <= max_words:
-        return ", ".join(words)
-    return ", ".join(words[:max_words]) + f" and {len(words) - max_words} more"
+def listing(items: Sequence[str], max_items: int = 6) -> str:
+    """Words with commas; those beyond `max_items` are counted: `a, b and 3 more`."""
+    if len(items) <= max_items:
+        return ", ".join(items)
+    return ", ".join(items[:max_items]) + f" and {len(items) - max_items} more"
 
 
-def fixed_point_text(value: float | None, places: int) -> str:
-    """Number with `places` decimals and without thousands separators; a dash for a missing number."""
+def fixed_point_text(value: float | None, n_decimals: int) -> str:
+    """Number with `n_decimals` decimals and without thousands separators; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
-    text = f"{value:.{places}f}"
+    text = f"{value:.{n_decimals}f}"
     return text.removeprefix("-") if not text.strip("-0.") else text

@@ -20,31 +20,31 @@ ReturnType = TypeVar("ReturnType")
 
 def run_parallel(
     function: Callable[..., ReturnType],
-    calls: Iterable[tuple[Any, ...]],
-    jobs: int,
+    argument_tuples: Iterable[tuple[Any, ...]],
+    n_processes: int,
     *,
-    ordered: bool = True,
-    batch: int = 1,
+    keeps_order: bool = True,
+    calls_per_batch: int = 1,
 ) -> Iterator[ReturnType]:
-    """Results of a function for each tuple of arguments in `calls`, computed by `jobs` processes.
+    """Results of a function for each tuple of arguments in `argument_tuples`, computed by `n_processes` processes.
 
     With `jobs=1` this process computes them. The function must be importable by its name. Results come in the order of
-    the calls, or with `ordered=False` as they are ready; `batch` calls are sent to a worker together. Raises
+    the calls, or with `ordered=False` as they are ready; `calls_per_batch` calls are sent to a worker together. Raises
     WorkerError when a worker process ends early, SetupError for fewer jobs than one.
     """
-    check_bounds(jobs=jobs)
-    if jobs == 1:
-        yield from (function(*arguments) for arguments in calls)
+    check_bounds(jobs=n_processes)
+    if n_processes == 1:
+        yield from (function(*arguments) for arguments in argument_tuples)
         return
     from joblib import Parallel, delayed, parallel_config  # most runs need one process
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    how = "generator" if ordered else "generator_unordered"
+    return_as = "generator" if keeps_order else "generator_unordered"
     watching = {"initializer": _watch_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
-        pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
+        pool = Parallel(n_jobs=n_processes, return_as=return_as, batch_size=calls_per_batch)
     with _without_working_folder():
-        results = pool(delayed(function)(*arguments) for arguments in calls)
+        results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
         with _without_working_folder():
             for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning
@@ -65,22 +65,22 @@ def _without_working_folder() -> Iterator[None]:
 
     A `numpy.py` in the working folder would run in place of numpy.
     """
-    before = os.environ.get(SAFE_PATH)
+    old_value = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
         yield
     finally:
-        if before is None:
+        if old_value is None:
             del os.environ[SAFE_PATH]
         else:
-            os.environ[SAFE_PATH] = before
+            os.environ[SAFE_PATH] = old_value
 
 
-def _watch_parent(parent: int) -> None:
+def _watch_parent(parent_process_id: int) -> None:
     """Thread that ends this process as soon as its parent process no longer exists."""
 
     def look() -> None:
-        while os.getppid() == parent:
+        while os.getppid() == parent_process_id:
             time.sleep(PARENT_CHECK_INTERVAL)
         os._exit(1)
 

@@ -6,11 +6,11 @@ from typing import Any
 _loaders: list[Callable[[str], Any]] = []
 
 
-def register_plotting(load: Callable[[str], Any]) -> None:
+def register_plotting(import_module: Callable[[str], Any]) -> None:
     """Registration of the function that imports a plotting module by its name within `ltsim.reports`."""
-    _loaders[:] = [load]
+    _loaders[:] = [import_module]
 
 
-def plotting_module(module: str) -> Any:
+def plotting_module(module_name: str) -> Any:
     """A plotting module, imported by the registered function."""
-    return _loaders[0](module)
+    return _loaders[0](module_name)

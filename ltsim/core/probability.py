@@ -12,21 +12,21 @@ P_CONSTANT = 0.04
 """Prior probability that an unmodelled effect is a wrong constant of an instrument."""
 
 
-def two_sided(upper: float) -> float:
-    """Two-sided p-value of a chi-square test from its upper tail probability `upper`."""
-    return 2.0 * min(upper, 1.0 - upper)
+def two_sided(upper_tail_probability: float) -> float:
+    """Two-sided p-value of a chi-square test from its upper tail probability `upper_tail_probability`."""
+    return 2.0 * min(upper_tail_probability, 1.0 - upper_tail_probability)
 
 
-def p_text(p: float | None) -> str:
+def p_text(p_value: float | None) -> str:
     """A p-value as text: `0.02`, `< 1e-6`, `> 0.99`; a dash for a missing value."""
-    if p is None or not math.isfinite(p):
+    if p_value is None or not math.isfinite(p_value):
         return "–"
-    if p < SMALLEST_REPORTED_P:
+    if p_value < SMALLEST_REPORTED_P:
         return "< 1e-6"
-    return "> 0.99" if p > 0.99 else f"{p:.2g}"
+    return "> 0.99" if p_value > 0.99 else f"{p_value:.2g}"
 
 
-def format_p(p: float) -> str:
+def format_p(p_value: float) -> str:
     """A p-value as part of a sentence: `p = 0.02`, `p < 1e-6` or `p > 0.99`."""
-    text = p_text(p)
+    text = p_text(p_value)
     return f"p {text}" if text[0] in "<>" else f"p = {text}"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ltsim.core.errors import SetupError
 
 WORD_SIZE = 2**32
+"""Upper bound of the words of a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose numbers come from one stream. It is part of the definition of the numbers and must
 not change.
@@ -20,18 +21,18 @@ not change.
 
 
 @lru_cache(maxsize=4096)
-def _key_number(name: str) -> int:
-    return zlib.crc32(name.encode())
+def _key_number(key_text: str) -> int:
+    return zlib.crc32(key_text.encode())
 
 
-def stream(seed: int, *key: str | int) -> np.random.Generator:
-    """Random generator of `key` under the root `seed`.
+def stream(seed: int, *stream_key: str | int) -> np.random.Generator:
+    """Random generator of `stream_key` under the root `seed`.
 
     Parameters
     ----------
     seed : int
         Root seed, 0 or larger.
-    *key : str or int
+    *stream_key : str or int
         Purpose of the draw, from general to particular. Names are hashed by a stable checksum (CRC-32),
         integers (a trial's number) are used as they are.
 
@@ -47,7 +48,7 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     """
     if seed < 0:
         raise SetupError(f"seed is {seed}, expected 0 or more")
-    spawn_key = tuple([_key_number(part) if isinstance(part, str) else part for part in key])
+    spawn_key = tuple([_key_number(part) if isinstance(part, str) else part for part in stream_key])
     if max(seed, *spawn_key) >= WORD_SIZE:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
     # The state that SeedSequence makes of seed and key if each is one word, in a third of the time.
@@ -55,34 +56,36 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
-def standard_normal_trials(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
-    """Standard normal numbers (size, B) of the trials with numbers `trials` (B,) under `key`.
+def standard_normal_trials(
+    seed: int, trial_numbers: NDArray[np.int64], n_values: int, *stream_key: str | int
+) -> NDArray[np.float64]:
+    """Standard normal numbers (size, B) of the trials with numbers `trial_numbers` (B,) under `stream_key`.
 
     Each trial is independent of the others in the call.
 
     Trial 0 has the stream of the key alone; `TRIALS_PER_STREAM` consecutive trials, from 0 on, share one for all
     others.
     """
-    first, count = int(trials[0]), len(trials)
+    first, count = int(trial_numbers[0]), len(trial_numbers)
     if (
         count == TRIALS_PER_STREAM
         and not first % TRIALS_PER_STREAM
-        and np.array_equal(trials, np.arange(first, first + TRIALS_PER_STREAM))
+        and np.array_equal(trial_numbers, np.arange(first, first + TRIALS_PER_STREAM))
     ):
-        return _block_numbers(seed, first // TRIALS_PER_STREAM, size, *key)
+        return _block_numbers(seed, first // TRIALS_PER_STREAM, n_values, *stream_key)
     if count == 1 and not first:
-        return stream(seed, *key).standard_normal((size, 1))
-    blocks, places = np.divmod(trials, TRIALS_PER_STREAM)
-    numbers = np.empty((size, count))
+        return stream(seed, *stream_key).standard_normal((n_values, 1))
+    blocks, places = np.divmod(trial_numbers, TRIALS_PER_STREAM)
+    numbers = np.empty((n_values, count))
     for block in np.unique(blocks).tolist():
         in_block = blocks == block
-        numbers[:, in_block] = _block_numbers(seed, block, size, *key)[:, places[in_block]]
+        numbers[:, in_block] = _block_numbers(seed, block, n_values, *stream_key)[:, places[in_block]]
     return numbers
 
 
-def _block_numbers(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
+def _block_numbers(seed: int, block_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers (size, BLOCK) of all trials of one block."""
-    numbers = stream(seed, *key, "block", block).standard_normal((size, TRIALS_PER_STREAM))
-    if not block:
-        numbers[:, 0] = stream(seed, *key).standard_normal(size)
+    numbers = stream(seed, *stream_key, "block", block_number).standard_normal((n_values, TRIALS_PER_STREAM))
+    if not block_number:
+        numbers[:, 0] = stream(seed, *stream_key).standard_normal(n_values)
     return numbers

@@ -73,7 +73,7 @@ class Column:
     field : str
         Attribute of a row object that holds the value; by default the name.
     digits : int
-        Significant digits of a number that is displayed without `shown`.
+        Significant digits of a number that is displayed without `display_format`.
     """
 
     name: str
@@ -130,9 +130,9 @@ def texts(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "text") for name, about in columns.items())
 
 
-def numbers(form: str = "", shown: str = "", **columns: str) -> tuple[Column, ...]:
+def numbers(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
     """Columns of numbers of one format, as `name="meaning"`."""
-    return tuple(Column(name, about, form=form, shown=shown) for name, about in columns.items())
+    return tuple(Column(name, about, form=format_text, shown=display_format) for name, about in columns.items())
 
 
 def flags(**columns: str) -> tuple[Column, ...]:
@@ -140,7 +140,7 @@ def flags(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
-def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, Any]) -> tuple[Column, ...]:
+def columns_of(model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]) -> tuple[Column, ...]:
     """Columns of the fields of a model, with the descriptions of the fields as meanings.
 
     `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
@@ -150,7 +150,7 @@ def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, Any
     for name in names.split() or model.model_fields:
         field = model.model_fields[name]
         kind = "flag" if field.annotation is bool else "text" if _is_text(field.annotation) else "number"
-        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
+        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **column_options.get(name, {})}
         made.append(Column(meaning=meanings.get(name, "").rstrip("."), **how))
     return tuple(made)
 
@@ -174,10 +174,10 @@ class Table(ValueEquality):
     rows: tuple[tuple[Any, ...], ...] = ()
 
     @classmethod
-    def from_columns(cls, name: str, columns: ColumnValues, about: str = "") -> Table:
+    def from_columns(cls, table_name: str, columns: ColumnValues, table_description: str = "") -> Table:
         """Table of columns that are not declared in advance, such as additional columns of a recording."""
-        made = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
-        return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
+        table_columns = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
+        return cls(f"{table_name}.csv", table_description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
         """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
@@ -205,17 +205,17 @@ class Table(ValueEquality):
     def with_columns(self, names: str) -> Table:
         """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
         by_name = {column.name: column for column in self.columns}
-        wanted = [by_name[name] for name in names.split() if name in by_name]
-        needed = dict.fromkeys(name for c in wanted for name in (c.name, c.sigma or c.like) if name)
-        at = [self.header.index(name) for name in needed]
-        rows = tuple(tuple(row[i] for i in at) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
+        columns_used = [by_name[name] for name in names.split() if name in by_name]
+        names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
+        indices = [self.header.index(name) for name in names_used]
+        rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in indices), rows=rows)
 
-    def column(self, name: str) -> list[Any]:
+    def column(self, column_name: str) -> list[Any]:
         """All cells of one column; raises ModelError."""
-        if name not in self.header:
-            raise unknown_name(f"column of {self.name}", name, self.header)
-        at = self.header.index(name)
+        if column_name not in self.header:
+            raise unknown_name(f"column of {self.name}", column_name, self.header)
+        at = self.header.index(column_name)
         return [row[at] for row in self.rows]
 
     def json(self) -> list[dict[str, Any]]:
@@ -270,9 +270,11 @@ class Table(ValueEquality):
     @property
     def _displayed_columns(self) -> list[Column]:
         """Displayed columns: no empty ones, and no standard deviations, which share a cell with their value."""
-        merged = {column.sigma for column in self.columns}
-        empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
-        return [column for column in self.columns if column.name not in merged | empty]
+        merged_names = {column.sigma for column in self.columns}
+        empty_names = {
+            c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)
+        }
+        return [column for column in self.columns if column.name not in merged_names | empty_names]
 
     @property
     def headings(self) -> list[str]:
@@ -287,8 +289,8 @@ class Table(ValueEquality):
     def cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        displayed = [(c, c.sigma or c.like) for c in self._displayed_columns]
-        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in displayed] for row in self.rows]
+        column_pairs = [(c, c.sigma or c.like) for c in self._displayed_columns]
+        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in column_pairs] for row in self.rows]
 
     def text(self) -> str:
         """Aligned text for a terminal: text flush left, numbers flush right."""
@@ -333,12 +335,12 @@ class Result(ValueEquality):
         head = "<br>".join(escape(line) for line in self._lines())
         return f"<p>{head}</p>" + (self.table().html() if self._tables() else "")
 
-    def table(self, name: str | None = None) -> Table:
+    def table(self, table_name: str | None = None) -> Table:
         """A table of the result.
 
         Parameters
         ----------
-        name : str, optional
+        table_name : str, optional
             Name of the table; default the first. The error for an unknown name lists the valid ones.
 
         Raises
@@ -347,12 +349,12 @@ class Result(ValueEquality):
             When the result has no such table.
         """
         tables = self._tables()
-        chosen = next(iter(tables), "") if name is None else name
-        if chosen not in tables:
+        name = next(iter(tables), "") if table_name is None else table_name
+        if name not in tables:
             kind = type(self).__name__
-            raise unknown_name(f"table of a {kind}", chosen, tables) if tables else ModelError(f"{kind} has no table")
-        made = tables[chosen]()
-        return made if isinstance(made, Table) else Table.from_columns(chosen, made)
+            raise unknown_name(f"table of a {kind}", name, tables) if tables else ModelError(f"{kind} has no table")
+        content = tables[name]()
+        return content if isinstance(content, Table) else Table.from_columns(name, content)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
         """A table of the result as a data frame; raises ModelError as `table`, SetupError without pandas."""

@@ -27,18 +27,18 @@ _TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp
 """Pattern of the names of temporary files and journals; the groups are number and token of the writing process."""
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
+def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
     """Atomic writing of files into a folder, which is created if necessary: all of them are written, or none.
 
-    A name may contain folders. A device or a pipe is written to directly. `durable` files and their names are flushed
-    to the disk. Raises OSError, and RecordError as `path_in_folder`.
+    A name may contain folders. A device or a pipe is written to directly. `flush_to_disk` files and their names are
+    flushed to the disk. Raises OSError, and RecordError as `path_in_folder`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     complete_interrupted_moves(folder)
     moves: dict[str, str] = {}
     journal = folder / _temporary_name("moves")
     try:
-        for name, content in contents.items():
+        for name, content in content_by_name.items():
             place = path_in_folder(folder, name)
             place.parent.mkdir(parents=True, exist_ok=True)
             if place.is_dir():
@@ -48,13 +48,13 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
                 continue
             temporary = place.parent / _temporary_name("tmp")
             moves[os.path.relpath(temporary, folder)] = name
-            _create_file(temporary, content, durable=durable)
+            _create_file(temporary, content, flush_to_disk=flush_to_disk)
         if len(moves) > 1:
-            _create_file(journal, json.dumps(moves).encode(), durable=durable)
+            _create_file(journal, json.dumps(moves).encode(), flush_to_disk=flush_to_disk)
         try:
-            _rename_files(folder, moves, durable=durable)
+            _rename_files(folder, moves, flush_to_disk=flush_to_disk)
         except KeyboardInterrupt:
-            _rename_files(folder, moves, durable=durable)
+            _rename_files(folder, moves, flush_to_disk=flush_to_disk)
             raise
     finally:
         for temporary in (*(folder / name for name in moves), journal):
@@ -69,7 +69,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
     Raises OSError.
     """
-    finished: set[str] = set()
+    finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
         try:
             moves = json.loads(journal.read_bytes())
@@ -80,21 +80,21 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
             valid = False
         if valid:
             moves = {source: name for source, name in moves.items() if _is_inside(folder, source)}
-            _rename_files(folder, moves, durable=False)
-            finished.update(moves.values())
+            _rename_files(folder, moves, flush_to_disk=False)
+            finished_names.update(moves.values())
         journal.unlink(missing_ok=True)
     for temporary in _abandoned_files(folder, "tmp"):
         temporary.unlink(missing_ok=True)
-    return finished
+    return finished_names
 
 
-def path_in_folder(folder: Path, name: str) -> Path:
+def path_in_folder(folder: Path, file_name: str) -> Path:
     """Path of a file in a folder, symbolic links resolved; RecordError for a link that leaves the folder."""
-    place = Path(os.path.realpath(folder / name))
+    place = Path(os.path.realpath(folder / file_name))
     if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
         raise RecordError(
             f"is a symbolic link that leads out of the folder, to {place}; remove the link, or choose another folder",
-            file=folder / name,
+            file=folder / file_name,
         )
     return place
 
@@ -129,28 +129,28 @@ def check_writable(path: Path, *, folder: bool) -> None:
         path_in_folder(path.parent, path.name)
 
 
-def _temporary_name(ending: str) -> str:
-    return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{ending}"
+def _temporary_name(suffix: str) -> str:
+    return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{suffix}"
 
 
-def _create_file(path: Path, content: bytes, *, durable: bool) -> None:
+def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
     """Creation of a file with the permissions that the umask permits."""
     with open(path, "xb", opener=lambda name, flags: os.open(name, flags, FILE_MODE)) as stream:
         stream.write(content)
-        if durable:
+        if flush_to_disk:
             stream.flush()
             os.fsync(stream.fileno())
 
 
-def _rename_files(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
+def _rename_files(folder: Path, final_name_by_temporary: Mapping[str, str], *, flush_to_disk: bool) -> None:
     """Renaming of temporary files to their final names; files that were already renamed are skipped."""
     parents = set()
-    for source, name in moves.items():
+    for source, name in final_name_by_temporary.items():
         place = path_in_folder(folder, name)
         with contextlib.suppress(FileNotFoundError):
             os.replace(folder / source, place)
         parents.add(place.parent)
-    for parent in parents if durable else ():
+    for parent in parents if flush_to_disk else ():
         handle = os.open(parent, os.O_RDONLY)
         try:
             os.fsync(handle)
@@ -158,25 +158,25 @@ def _rename_files(folder: Path, moves: Mapping[str, str], *, durable: bool) -> N
             os.close(handle)
 
 
-def _is_inside(folder: Path, name: str) -> bool:
-    return Path(os.path.realpath(folder / name)).is_relative_to(os.path.realpath(folder))
+def _is_inside(folder: Path, file_name: str) -> bool:
+    return Path(os.path.realpath(folder / file_name)).is_relative_to(os.path.realpath(folder))
 
 
-def _abandoned_files(folder: Path, ending: str) -> Iterator[Path]:
+def _abandoned_files(folder: Path, suffix: str) -> Iterator[Path]:
     """Temporary files of processes that have ended, in a folder and its subfolders."""
-    for path in [*folder.glob(f".ltsim-*.{ending}"), *folder.glob(f"*/.ltsim-*.{ending}")]:
+    for path in [*folder.glob(f".ltsim-*.{suffix}"), *folder.glob(f"*/.ltsim-*.{suffix}")]:
         match = _TEMPORARY_NAME.fullmatch(path.name)
         if match and not _is_running(int(match[1]), match[2]):
             yield path
 
 
-def _is_running(process: int, mark: str) -> bool:
+def _is_running(process_id: int, process_mark: str) -> bool:
     if os.name == "nt":  # where `os.kill` would end the process
         return True
-    if process == os.getpid():
-        return mark == _PROCESS_TOKEN
+    if process_id == os.getpid():
+        return process_mark == _PROCESS_TOKEN
     try:
-        os.kill(process, 0)
+        os.kill(process_id, 0)
     except ProcessLookupError:
         return False
     except OSError:

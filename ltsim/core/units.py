@@ -92,6 +92,7 @@ _CIRCLE_PARTS = MappingProxyType(
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
     }
 )  # fmt: skip
+"""Number of units in a full circle, for each unit of an angle."""
 UNIT_BY_KEY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",
@@ -105,24 +106,24 @@ _QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\
 
 
 @functools.cache
-def unit_ratio(unit: str, other: str) -> Decimal:
+def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
     """Exact ratio of one unit to another; both are units of angle, of length or of time."""
-    if unit in _CIRCLE_PARTS:
-        return _CIRCLE_PARTS[other] / _CIRCLE_PARTS[unit]
-    return Decimal(repr(SI_PER_UNIT[unit])) / Decimal(repr(SI_PER_UNIT[other]))
+    if numerator_unit in _CIRCLE_PARTS:
+        return _CIRCLE_PARTS[denominator_unit] / _CIRCLE_PARTS[numerator_unit]
+    return Decimal(repr(SI_PER_UNIT[numerator_unit])) / Decimal(repr(SI_PER_UNIT[denominator_unit]))
 
 
-def unit_of_key(key: str) -> str:
+def unit_of_key(key_name: str) -> str:
     """Unit in the name of a key; empty for a key without one."""
     for ending, name in UNIT_BY_KEY_ENDING.items():
-        if key.endswith(ending):
+        if key_name.endswith(ending):
             return name
-    return UNIT_BY_KEY_BEGINNING.get(key.partition("_")[0], "")
+    return UNIT_BY_KEY_BEGINNING.get(key_name.partition("_")[0], "")
 
 
-def has_same_kind(unit: str, other: str) -> bool:
+def has_same_kind(unit: str, other_unit: str) -> bool:
     """True for two units of the same kind of quantity, such as two lengths."""
-    return unit == other or any({unit, other} <= kind for kind in CONVERTIBLE_UNITS)
+    return unit == other_unit or any({unit, other_unit} <= kind for kind in CONVERTIBLE_UNITS)
 
 
 def parse_in_unit(text: str, unit: str) -> float | None:

@@ -19,8 +19,8 @@ class ValueEquality:
     Data classes derived from it use this comparison instead of comparing tuples of fields, which fails for arrays.
     """
 
-    def __init_subclass__(cls, **rest: Any) -> None:
-        super().__init_subclass__(**rest)
+    def __init_subclass__(cls, **class_options: Any) -> None:
+        super().__init_subclass__(**class_options)
         if not issubclass(cls, BaseModel):  # which compare by value themselves
             for name in ("__eq__", "__hash__", "__repr__"):  # a data class keeps what it finds in its own namespace
                 if name not in cls.__dict__ and getattr(cls, name) is not getattr(object, name):
@@ -33,44 +33,48 @@ class ValueEquality:
         return hash(type(self))
 
 
-def equal_values(first: Any, second: Any) -> bool:
+def equal_values(first_value: Any, second_value: Any) -> bool:
     """Equality of two values of one type by their contents; NaN equals NaN."""
-    if first is second:
+    if first_value is second_value:
         return True
-    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        return _equal_arrays(first, second)
-    if isinstance(first, Mapping) and isinstance(second, Mapping):
-        return first.keys() == second.keys() and all(equal_values(first[key], second[key]) for key in first)
-    if type(first) is not type(second):
+    if isinstance(first_value, np.ndarray) or isinstance(second_value, np.ndarray):
+        return _equal_arrays(first_value, second_value)
+    if isinstance(first_value, Mapping) and isinstance(second_value, Mapping):
+        return first_value.keys() == second_value.keys() and all(
+            equal_values(first_value[key], second_value[key]) for key in first_value
+        )
+    if type(first_value) is not type(second_value):
         return False
-    if isinstance(first, float):
-        return first == second or (math.isnan(first) and math.isnan(second))
-    if isinstance(first, tuple | list):
-        return len(first) == len(second) and all(map(equal_values, first, second))
-    if dataclasses.is_dataclass(first):
-        compared = [f.name for f in dataclasses.fields(first) if f.compare]
-        return all(equal_values(getattr(first, name), getattr(second, name)) for name in compared)
-    if isinstance(first, BaseModel):
-        return equal_values(first.__dict__, second.__dict__)
-    parts = _parts_of(first)
-    return bool(first == second) if parts is None else equal_values(parts, _parts_of(second))
+    if isinstance(first_value, float):
+        return first_value == second_value or (math.isnan(first_value) and math.isnan(second_value))
+    if isinstance(first_value, tuple | list):
+        return len(first_value) == len(second_value) and all(map(equal_values, first_value, second_value))
+    if dataclasses.is_dataclass(first_value):
+        compared = [f.name for f in dataclasses.fields(first_value) if f.compare]
+        return all(equal_values(getattr(first_value, name), getattr(second_value, name)) for name in compared)
+    if isinstance(first_value, BaseModel):
+        return equal_values(first_value.__dict__, second_value.__dict__)
+    contents = _parts_of(first_value)
+    return bool(first_value == second_value) if contents is None else equal_values(contents, _parts_of(second_value))
 
 
-def _parts_of(value: Any) -> tuple[Any, ...] | None:
+def _parts_of(object_value: Any) -> tuple[Any, ...] | None:
     """Contents of an object that is neither a data class nor a model.
 
     A sparse matrix and an object with `__reduce__` have such contents; None for another object.
     """
-    kind = type(value)
+    kind = type(object_value)
     if kind.__module__.startswith("scipy.sparse"):
-        compressed = value.tocsr()
+        compressed = object_value.tocsr()
         return (compressed.data, compressed.indices, compressed.indptr), compressed.shape
     if kind.__module__.startswith("ltsim.") and "__reduce__" in kind.__dict__:
-        return tuple(value.__reduce__()[1])
+        return tuple(object_value.__reduce__()[1])
     return None
 
 
-def _equal_arrays(first: Any, second: Any) -> bool:
-    if not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray)):
+def _equal_arrays(first_array: Any, second_array: Any) -> bool:
+    if not (isinstance(first_array, np.ndarray) and isinstance(second_array, np.ndarray)):
         return False
-    return first.dtype == second.dtype and np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
+    return first_array.dtype == second_array.dtype and np.array_equal(
+        first_array, second_array, equal_nan=first_array.dtype.kind in "fc"
+    )

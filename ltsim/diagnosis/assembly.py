@@ -23,7 +23,7 @@ MAX_REPORTED_FINDINGS = 5
 
 def assemble_diagnosis(
     source: SourceEntry,
-    explained: ExplainedRecording,
+    model_fit: ExplainedRecording,
     detectability: DetectabilityReport,
     certain_findings: Sequence[Finding],
     final_adjustment: Adjustment,
@@ -33,16 +33,18 @@ def assemble_diagnosis(
     mismatch: bool,
 ) -> Diagnosis:
     """Diagnosis from the explained model, and from findings of tests (`certain_findings`), which need no search."""
-    case, model, detection = explained.state, explained.model, explained.detection
-    baseline, adjusted = case.baseline, explained.refit.adjustment
+    case, model, detection = model_fit.state, model_fit.model, model_fit.detection
+    baseline, adjusted = case.baseline, model_fit.refit.adjustment
     shifts = [
-        explained.finding(i) for i, finding in enumerate(model.members) if finding.key not in explained.withheld_keys
+        model_fit.finding(i) for i, finding in enumerate(model.members) if finding.key not in model_fit.withheld_keys
     ]
     clock = case.recording.has_clock
     noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
-    sure = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
-    alone = not certain_findings and all(finding.effect == NoiseLevel.name for finding in sure)
-    likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
+    certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
+    is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
+    likely = (
+        (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
+    )
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
     room = max(MAX_REPORTED_FINDINGS - len(certain_findings), 0)
     findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
@@ -54,7 +56,7 @@ def assemble_diagnosis(
     detectable, undetectable = detectability
     return Diagnosis.from_arrays(
         DiagnosisArrays(
-            *_averaged_targets_and_change(explained, shifts, noises),
+            *_averaged_targets_and_change(model_fit, shifts, noises),
             case.expected_variance_factors(model.effects),
             baseline,
             adjusted,
@@ -67,7 +69,7 @@ def assemble_diagnosis(
             detection.p_value,
             before,
             after,
-            withheld=len(explained.withheld_keys) + len(likely[room:]),
+            n_withheld=len(model_fit.withheld_keys) + len(likely[room:]),
         ),
         global_test=GlobalTest(
             statistic=baseline.chi2,
@@ -85,14 +87,14 @@ def assemble_diagnosis(
 
 
 def _averaged_targets_and_change(
-    explained: ExplainedRecording, shifts: Sequence[Finding], noises: Sequence[Finding]
+    model_fit: ExplainedRecording, shifts: Sequence[Finding], noises: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
     """Targets and difference of the change of the readings (n, 3), averaged over explanations.
 
     The targets are those of the calibration if no cause is more probable than not.
     """
-    case = explained.state
-    targets, change = average_over_explanations(case.searcher, explained.model, explained.rankings, explained.refit)
+    case = model_fit.state
+    targets, change = average_over_explanations(case.searcher, model_fit.model, model_fit.rankings, model_fit.refit)
     if not any(finding.evidence.p_real >= MIN_PROBABLE for finding in (*shifts, *noises)):
         targets, _ = average_over_explanations(case.searcher, case.empty_model, (), Refit(case.baseline, (), ()))
     return targets, change

@@ -73,20 +73,22 @@ def average_over_explanations(
     return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
-def _safe_fraction_of_change(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
+def _safe_fraction_of_change(adjustment: Adjustment, change: Floats, deviations: Floats) -> float:
     """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
 
     Explanations deviate by (k, T, 3) [m].
     """
-    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.target_points)
+    problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
         np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
     )[:, 0]
-    along = np.zeros(adjusted.solution.system.design.shape[1])
+    along = np.zeros(adjustment.solution.system.design.shape[1])
     along[problem.unknowns.target_columns.ravel()] = shift
-    disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
-    spread = float(along @ adjusted.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
-    noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(deviations**2))
+    disagreements = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
+    spread = float(
+        along @ adjustment.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreements @ disagreements
+    )
+    noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(deviations**2))
     return safe_fraction(float(shift @ shift), spread, noise)
 
 
@@ -103,13 +105,13 @@ def safe_fraction(size: float, spread: float, noise: float) -> float:
     """
     if size == 0.0:
         return 1.0
-    bad = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
-    grown = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
-    return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
+    linear_term = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
+    allowed_increase = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
+    return min(1.0, float(np.sqrt(linear_term**2 + size * allowed_increase) - linear_term) / size)
 
 
 def model_weights(
-    searcher: Searcher, other_effects: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
+    searcher: Searcher, other_effects: Model, selected: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
@@ -118,15 +120,15 @@ def model_weights(
     none, *rest_of = normalised_probabilities(
         np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
     ).tolist()
-    likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
-    entries = [(h, p) for h, p in likely if not _is_noise_hypothesis(h)]
-    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != chosen.key]
+    probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
+    entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
+    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
-    rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    shaped = _instances_at_probable_shapes(searcher, other_effects, chosen)
-    changes = [expected_change(searcher, other_effects, h) for h, _ in (*shaped, *entries)]
+    p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
+    instances = _instances_at_probable_shapes(searcher, other_effects, selected)
+    changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *entries)]
     changes.append(np.zeros_like(changes[0]))
-    weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
+    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(changes)
 
 
@@ -136,19 +138,19 @@ def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
 
 
 def _instances_at_probable_shapes(
-    searcher: Searcher, other_effects: Model, chosen: Hypothesis
+    searcher: Searcher, other_effects: Model, selected: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
     """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         []
-        if isinstance(chosen.effect, EmpiricalLaw)
-        else shape_nodes(searcher.evidence_calculator, chosen.effect, other_effects, {}, plausible=True)
+        if isinstance(selected.effect, EmpiricalLaw)
+        else shape_nodes(searcher.evidence_calculator, selected.effect, other_effects, {}, within_plausible=True)
     )
     if not shapes:
-        return [(chosen, 1.0)]
+        return [(selected, 1.0)]
     weights = normalised_probabilities(np.array([node.log_weight for node in shapes]))
     ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_EXPLANATIONS]
-    return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
+    return [(replace(selected, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
 
 
 def first_order_change(searcher: Searcher, model: Model) -> Floats:

@@ -71,16 +71,16 @@ class SignatureGroup:
         step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(vectors, 1)))
         yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
 
-    def weighted_products(self, part: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, members: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
-        rows, count = self.rows[part.start * self.size : part.stop * self.size], vectors.shape[1]
+        rows, count = self.rows[members.start * self.size : members.stop * self.size], vectors.shape[1]
         products = np.empty((rows.shape[0], count))
         for i in range(0, count, N_VECTORS_PER_PART):
             few = slice(i, i + N_VECTORS_PER_PART)
             products[:, few] = rows @ np.multiply(
                 vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
             )
-        return products.reshape(part.stop - part.start, self.size, count)
+        return products.reshape(members.stop - members.start, self.size, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
         """Group for rows of the space multiplied by a `ratio` (m,)."""
@@ -120,8 +120,8 @@ class CatalogueSignatures:
     def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
-        sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
-        dense: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
+        sparse_signatures: dict[int, list[tuple[int, Ints, Singles]]] = {}
+        dense_signatures: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
         read = np.nonzero(space.used_readings)
         other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
@@ -138,28 +138,28 @@ class CatalogueSignatures:
             effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
             rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
             if is_sparse:
-                sparse.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
+                sparse_signatures.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
             else:
-                members, made = dense.setdefault((len(rows), tuple(touched.tolist())), ([], []))
+                members, made = dense_signatures.setdefault((len(rows), tuple(touched.tolist())), ([], []))
                 members.append(len(touching))
                 made.append(rows)
             touching.append(effect)
-        groups = [_sparse_group(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
+        groups = [_sparse_group(size, sparse_signatures.pop(size), space.n_rows) for size in sorted(sparse_signatures)]
         groups += [
             _dense_group(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
-            for (size, kinds), (members, made) in sorted(dense.items())
+            for (size, kinds), (members, made) in sorted(dense_signatures.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
         return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
-    def with_weights_of(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
+    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueSignatures:
         """Signatures with the weights of another adjustment of the same readings.
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
-        ratio = np.ones(after.n_rows, dtype=np.float32)
-        ratio[: int(after.used_readings.sum())] = (before.sigma / after.sigma)[after.used_readings]
+        ratio = np.ones(new_space.n_rows, dtype=np.float32)
+        ratio[: int(new_space.used_readings.sum())] = (old_space.sigma / new_space.sigma)[new_space.used_readings]
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
     def log_evidence_and_trials(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
@@ -213,9 +213,9 @@ class FamilyMeans:
     sums: Floats
 
     @classmethod
-    def without_effects(cls, family: Ints, count: int, trials: int) -> FamilyMeans:
+    def without_effects(cls, family: Ints, n_columns: int, trials: int) -> FamilyMeans:
         """Means of no effect yet."""
-        return cls(family, np.full((count, trials), -np.inf))
+        return cls(family, np.full((n_columns, trials), -np.inf))
 
     def add(self, members: Ints, values: Floats) -> None:
         """Addition of the log evidence (k, trials) of some effects (k,)."""
@@ -231,7 +231,7 @@ class FamilyMeans:
 
 
 def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
-    """Effect with a plausible size raised to the noise level, and the factor.
+    """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
     The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
     whitened signature of plausible size, and the pointing (r,) of each.
@@ -243,23 +243,23 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     ):
         return effect, 1.0
     squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
-    coarser = noise_level_factor(np.sqrt(squares))
-    return replace(effect, size_factor=coarser) if coarser > 1.0 else effect, coarser
+    factor = noise_level_factor(np.sqrt(squares))
+    return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
 
 
 def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
     products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
-    flat = rows.reshape(-1, len(places))
-    return SignatureGroup(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
+    flattened = rows.reshape(-1, len(places))
+    return SignatureGroup(size, np.array(members), places, flattened, weight, products, np.zeros_like(products))
 
 
-def _sparse_group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
+def _sparse_group(size: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
     """Group of effects with equal numbers of parameters, each on few of `length` rows."""
-    products = np.stack([row_gram(rows) for _, _, rows in made]).astype(np.float64)
-    indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
-    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))]).astype(np.int32)
-    data = np.concatenate([rows.ravel() for _, _, rows in made])
-    rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
-    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in made])
+    products = np.stack([row_gram(rows) for _, _, rows in signatures]).astype(np.float64)
+    indices = np.concatenate([np.tile(places, size) for _, places, _ in signatures])
+    ends = np.cumsum([0, *(len(places) for _, places, _ in signatures for _ in range(size))]).astype(np.int32)
+    data = np.concatenate([rows.ravel() for _, _, rows in signatures])
+    rows = sp.csr_array((data, indices, ends), (len(signatures) * size, length))
+    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
     return SignatureGroup(size, members, slice(None), rows, weight, products, np.zeros_like(products))

@@ -42,9 +42,9 @@ class Detection:
         """p-value of the search, corrected for everything that was tried."""
         return self.p_value_of(self.statistic)
 
-    def threshold(self, level: float) -> float:
-        """Value of the statistic that a clean recording exceeds with probability `level`."""
-        return float(np.quantile(self.null_statistics, 1.0 - level))
+    def threshold(self, alpha: float) -> float:
+        """Value of the statistic that a clean recording exceeds with probability `alpha`."""
+        return float(np.quantile(self.null_statistics, 1.0 - alpha))
 
     def p_value_of(self, statistic: float) -> float:
         """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.
@@ -61,9 +61,9 @@ def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     """Joint test of the residuals of an adjustment against all effects, laws and changes of the noise."""
     space = searcher.space
     noise_evidence = noise.family_evidence(space.residuals[:, None], space.redundancy)[:, 0]
-    simulated = noise.family_evidence(searcher.null_ensemble.simulated_residuals, space.redundancy)
+    simulated_evidence = noise.family_evidence(searcher.null_ensemble.simulated_residuals, space.redundancy)
     statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.statistic)))
-    null = np.logaddexp(log_sum_exp(simulated), searcher.empty_model_screening.null_statistics)
+    null = np.logaddexp(log_sum_exp(simulated_evidence), searcher.empty_model_screening.null_statistics)
     chi2, dof = float(space.residuals @ space.residuals), space.adjustment.dof
-    plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
-    return Detection(statistic, plain, null)
+    chi2_p_value = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
+    return Detection(statistic, chi2_p_value, null)

@@ -85,7 +85,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, times: float) -> U
     hides = round(
         max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
     )
-    size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
+    size = f"only from {times:.0f} times its plausible size on" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
     factor = times if np.isfinite(times) else None
     return Undetectable(
@@ -99,11 +99,11 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, times: float) -> U
 
 def target_distortion(space: ResidualSpace, shift: Floats) -> float:
     """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
-    moved = space.target_shifts(shift).ravel()
+    shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
     motion = rigid_motion_design(points, points.mean(axis=0))
-    rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
-    return float(1e6 * np.sqrt(3 * np.mean(rest**2)))
+    distortion = shifts - motion @ np.linalg.lstsq(motion, shifts, rcond=None)[0]
+    return float(1e6 * np.sqrt(3 * np.mean(distortion**2)))
 
 
 def separating_measurement(
@@ -142,8 +142,8 @@ def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple
 
 def _comparable_effects(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
     """An effect and its equivalents that shift readings; empty where there is nothing to compare."""
-    others = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
-    return (effect, *others) if others and _shifts_readings(effect) else ()
+    remaining = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
+    return (effect, *remaining) if remaining and _shifts_readings(effect) else ()
 
 
 def _shifts_readings(name: str) -> bool:

@@ -96,7 +96,7 @@ def diagnose(
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
-    compared = (
+    comparison = (
         find_contradictions
         if history is None
         else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
@@ -110,32 +110,39 @@ def diagnose(
     case = SelectionState(baseline, use, seed, level, tests_ordinary_constants=history is None)
     detection = detect(case.searcher, case.noise_bank)
     mismatch = detection.p_value < level
-    beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
+    beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
     if selection is not None and model.members:
         restored = is_consistent_when_omitted(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             del case, beginning, model, fitted  # their memory is for the second search
-            baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
+            baseline, use, mistaken = adapted_baseline(recording, construction, selection, is_restored=restored)
             case = SelectionState(baseline, use, seed, None, tests_ordinary_constants=history is None)
-            beginning, model, fitted = _search_recording(case, compared, mismatch=mismatch)
-    settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
-    contradicting = _contradicting_constants(case, model, settled, compared)
-    odd = [instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)][
-        :MAX_MODEL_MEMBERS
-    ]
-    explained = ExplainedRecording(
-        case, detection, model, fitted, bool(mistaken or odd or _has_more_than_noise_level(case.noise))
+            beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
+    final_adjustment = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
+    contradicting = _contradicting_constants(case, model, final_adjustment, comparison)
+    constant_findings = [
+        instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)
+    ][:MAX_MODEL_MEMBERS]
+    model_fit = ExplainedRecording(
+        case, detection, model, fitted, bool(mistaken or constant_findings or _has_more_than_noise_level(case.noise))
     )
-    repeated = not case.searcher.is_large_network if held_out is None else held_out
+    repeats_search = not case.searcher.is_large_network if held_out is None else held_out
     errors = (
         HeldOutErrors()
-        if case.searcher.is_large_network and not repeated
-        else _held_out_errors(explained, MIN_EFFECT_LOG_EVIDENCE, repeated)
+        if case.searcher.is_large_network and not repeats_search
+        else _held_out_errors(model_fit, MIN_EFFECT_LOG_EVIDENCE, repeats_search)
     )
     detectability = detectability_report(*beginning)
     source = SourceEntry.from_recording(recording)
     return assemble_diagnosis(
-        source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch
+        source,
+        model_fit,
+        detectability,
+        [*mistaken, *constant_findings],
+        final_adjustment,
+        errors,
+        selection,
+        mismatch=mismatch,
     )
 
 
@@ -152,25 +159,25 @@ ConstantComparison = Callable[[Adjustment, float], list[ConstantContradiction]]
 
 
 def _search_recording(
-    case: SelectionState, compared: ConstantComparison, *, mismatch: bool
+    case: SelectionState, comparison: ConstantComparison, *, mismatch: bool
 ) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
     """Space and hypotheses of the initial network, the model (empty without a `mismatch`), and its refit."""
     beginning = case.space, case.searcher.catalogue_signatures
-    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, compared) if mismatch else case.empty_model
+    model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if mismatch else case.empty_model
     return beginning, *_refit_model(case, model)
 
 
 def _contradicting_constants(
-    case: SelectionState, model: Model, final_adjustment: Adjustment, compared: ConstantComparison
+    case: SelectionState, model: Model, final_adjustment: Adjustment, comparison: ConstantComparison
 ) -> list[ConstantContradiction]:
     """Constants that contradict their reference with nearly equal offsets with and without the model."""
-    with_model = compared(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    with_model = comparison(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if not model.members:
         return with_model
-    alone = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     size = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
-        for contradiction in alone
+        for contradiction in contradictions
     }
     return [
         c
@@ -179,7 +186,7 @@ def _contradicting_constants(
     ]
 
 
-def _select_model(case: SelectionState, threshold: float, compared: ConstantComparison) -> Model:
+def _select_model(case: SelectionState, threshold: float, comparison: ConstantComparison) -> Model:
     """Selected model: changed constants, mean shifts and changes of the noise, until the evidence does not increase.
 
     The kind with the larger evidence is selected first: a law selected with a wrong noise level absorbs noise, and
@@ -192,7 +199,7 @@ def _select_model(case: SelectionState, threshold: float, compared: ConstantComp
         model = _mean_and_variance(case, threshold)
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
-    contradicting = compared(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    contradicting = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
     if (
         contradicting
         and contradicting[0].joint_evidence - model.score > (len(contradicting) - len(model.members)) * threshold
@@ -264,19 +271,19 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
     return model
 
 
-def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
+def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], p_other: float) -> NoiseHypothesis:
     """Most probable change of the noise with its probability among all hypotheses.
 
-    `rest` is the log sum of the others.
+    `p_other` is the log sum of the others.
     """
     values = np.array([value for value, _ in ranked])
-    weights = np.exp(values - log_sum_exp(np.array([0.0, rest, *values])))
-    named: dict[str, float] = {}
+    weights = np.exp(values - log_sum_exp(np.array([0.0, p_other, *values])))
+    p_by_name: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
-        named[entry.effect.name] = min(named.get(entry.effect.name, 0.0) + weight, 1.0)
-    name = most_probable_name(named)
+        p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)
+    name = most_probable_name(p_by_name)
     value, best = next(entry for entry in ranked if entry[1].effect.name == name)
-    probability, rivals = name_probabilities(named, name)
+    probability, rivals = name_probabilities(p_by_name, name)
     return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 
@@ -300,13 +307,13 @@ def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
     return model, fitted
 
 
-def log_support(model: Model, reduced: Model, drop: float) -> float:
+def log_support(model: Model, reduced: Model, chi2_drop: float) -> float:
     """Log evidence of a model relative to a reduced one, with the chi-square decrease of the nonlinear refits.
 
-    The linear evidence has the Occam factors and priors; its decrease of chi-square is replaced by `drop`.
+    The linear evidence has the Occam factors and priors; its decrease of chi-square is replaced by `chi2_drop`.
     """
     linear = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
-    return model.score - reduced.score + 0.5 * (drop - linear)
+    return model.score - reduced.score + 0.5 * (chi2_drop - linear)
 
 
 def _has_more_than_noise_level(noise: Sequence[NoiseHypothesis]) -> bool:
@@ -314,21 +321,21 @@ def _has_more_than_noise_level(noise: Sequence[NoiseHypothesis]) -> bool:
     return any(not isinstance(change.effect, NoiseLevel) for change in noise)
 
 
-def _held_out_errors(explained: ExplainedRecording, threshold: float, repeated: bool) -> HeldOutErrors:
+def _held_out_errors(model_fit: ExplainedRecording, threshold: float, repeats_search: bool) -> HeldOutErrors:
     """Errors of held-out readings, relative to the larger of the declared and the estimated noise.
 
-    `after` is given if the search is `repeated`, or the model shifts no reading.
+    `after` is given if the search is `repeats_search`, or the model shifts no reading.
     """
-    case, nominal = explained.state, explained.state.recording.sigma()
+    case, nominal = model_fit.state, model_fit.state.recording.sigma()
     space, seed = case.searcher.space, case.seed
     if (case.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.reading_sigmas, nominal)).adjustment)
-    if not explained.model.members:
+    if not model_fit.model.members:
         before = cross_validated_errors(space, seed).before
         return HeldOutErrors(before, before)
     return (
         cross_validated_errors(space, seed, case.searcher, threshold)
-        if repeated
+        if repeats_search
         else cross_validated_errors(space, seed)
     )
 

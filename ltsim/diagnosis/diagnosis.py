@@ -91,9 +91,9 @@ class Diagnosis(ResultFile):
     @classmethod
     def from_arrays(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
         """Diagnosis with its networks; `fields` are those of the file."""
-        made = cls(**fields)
-        made._arrays = arrays
-        return made
+        result = cls(**fields)
+        result._arrays = arrays
+        return result
 
     @property
     def arrays(self) -> DiagnosisArrays:
@@ -122,12 +122,12 @@ class Diagnosis(ResultFile):
         if self.fit is None:
             return lines
         before, after = self.fit.before, self.fit.after
-        fits = f"chi2/dof {before.chi2:.0f}/{before.dof}"
+        phrase = f"chi2/dof {before.chi2:.0f}/{before.dof}"
         if self.findings:
-            fits += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
+            phrase += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
             if None not in (before.held_out_rms, after.held_out_rms) and before.held_out_rms != after.held_out_rms:
-                fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
-        return [*lines, fits]
+                phrase += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
+        return [*lines, phrase]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {

@@ -33,8 +33,8 @@ def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> 
     k = len(score) // components
     products, scores = gram.reshape(components, k, components, k), score.reshape(components, k)
     common_spread = spread[:k] * np.sqrt(components)
-    full = coefficient_posterior(gram, score, spread)[0].reshape(components, k)
-    ratio = np.linalg.svd(full / spread[:k], full_matrices=False)[0][:, 0]
+    coefficients = coefficient_posterior(gram, score, spread)[0].reshape(components, k)
+    ratio = np.linalg.svd(coefficients / spread[:k], full_matrices=False)[0][:, 0]
     for _ in range(N_RATIO_ITERATIONS):
         mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
             0

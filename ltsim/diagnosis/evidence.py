@@ -42,8 +42,8 @@ MAX_SCREENED_EVIDENCE_TIE = 1e-4
 
 def index_of_best(values: Floats) -> int:
     """Index of the largest value; the middle one if several are equal, as on a plateau."""
-    best = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
-    return int(best[(len(best) - 1) // 2])
+    ties = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
+    return int(ties[(len(ties) - 1) // 2])
 
 
 def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
@@ -75,8 +75,8 @@ def simulated_log_evidence(scores: Floats, strength: Floats) -> Floats:
 
 def simulated_log_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
     """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
-    flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
-    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flat, log_prior)]
+    flattened = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
+    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
     return log_sum_exp(np.stack(parts).astype(np.float64))
 
 
@@ -99,12 +99,13 @@ def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles
     return total
 
 
-def log_restricted_likelihood_ratio(squares: Floats, share: Floats, factor: Floats) -> Floats:
+def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, factor: Floats) -> Floats:
     """Log restricted likelihood ratio of variances `factor` times as large, in its diagonal form, reading by reading.
 
-    `squares` are those of whitened residuals, `share` the redundancies; or sums of both over readings of equal factor.
+    `squares` are those of whitened residuals, `redundancy` the redundancies; or sums of both over readings of equal
+    factor.
     """
-    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - share * np.log(factor))
+    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - redundancy * np.log(factor))
     return ratio
 
 
@@ -129,13 +130,13 @@ def log_evidence_of_wrong_readings(
     return float(np.maximum(values, 0.0).sum())
 
 
-def log_means_by_group(values: Floats, groups: Ints, count: int) -> Floats:
-    """Log of the mean of exp(values) in each of `count` non-empty groups, for values (k,) or (k, trials)."""
+def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
+    """Log of the mean of exp(values) in each of `n_groups` non-empty groups, for values (k,) or (k, trials)."""
     order = np.argsort(groups, kind="stable")
-    starts = np.searchsorted(groups[order], np.arange(count))
+    starts = np.searchsorted(groups[order], np.arange(n_groups))
     top = np.maximum.reduceat(values[order], starts, axis=0)
     total = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
-    size = np.bincount(groups, minlength=count).reshape(-1, *([1] * (values.ndim - 1)))
+    size = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
     means: Floats = top + np.log(total / size)
     return means
 
@@ -210,10 +211,10 @@ def noise_level_factor(strength: Floats) -> float:
     `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
     pointings becomes 1.
     """
-    touched = np.sort(strength[strength > 0])
-    if not len(touched):
+    positive = np.sort(strength[strength > 0])
+    if not len(positive):
         return 1.0
-    median = 0.5 * float(touched[(len(touched) - 1) // 2] + touched[len(touched) // 2])
+    median = 0.5 * float(positive[(len(positive) - 1) // 2] + positive[len(positive) // 2])
     return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR), 1.0)
 
 
@@ -224,20 +225,21 @@ MIN_PROJECTED_ACTIVE_FRACTION = 0.1
 observable over the others."""
 
 
-def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str, ...]:
+def active_observables(acts_on: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
     """Observables on which an effect acts; empty for all.
 
-    `done` (r,) is its whitened shift of the readings in `use` (n, 3), `projected` (r,) the projection of that.
+    `shift` (r,) is its whitened shift of the readings in `acts_on` (n, 3), `projected_shift` (r,) the projection of
+    that.
     """
-    active = (_observable_fractions(use, done) >= MIN_ACTIVE_FRACTION) & (
-        _observable_fractions(use, projected) >= MIN_PROJECTED_ACTIVE_FRACTION
+    active = (_observable_fractions(acts_on, shift) >= MIN_ACTIVE_FRACTION) & (
+        _observable_fractions(acts_on, projected_shift) >= MIN_PROJECTED_ACTIVE_FRACTION
     )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
 
-def _observable_fractions(use: Bools, shift: Floats) -> Floats:
+def _observable_fractions(acts_on: Bools, shift: Floats) -> Floats:
     """Fraction (3,) of the squares of a shift (r,) in each observable."""
-    kind = np.nonzero(use)[1]
+    kind = np.nonzero(acts_on)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
     fraction: Floats = squares / max(float(squares.sum()), 1e-300)
     return fraction

@@ -102,9 +102,9 @@ class EvidenceCalculator:
     def whitened_signature(self, effect: CandidateEffect) -> Floats:
         """Whitened signature (m, k) of an effect."""
         rows = self._rows_of(effect)
-        whole = np.zeros((self.space.n_rows, len(effect.parameters)))
-        whole[rows.rows] = self._adjacent_signatures([effect], rows)[0]
-        return whole
+        signature = np.zeros((self.space.n_rows, len(effect.parameters)))
+        signature[rows.rows] = self._adjacent_signatures([effect], rows)[0]
+        return signature
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
         """Batches of effects that act on the same rows, as large as memory permits."""

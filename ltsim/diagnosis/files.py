@@ -39,9 +39,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv(),
         RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv(),
     }
-    added = joint_air_covariance(diagnosis.final_adjustment)
+    air_covariance = joint_air_covariance(diagnosis.final_adjustment)
     covariance = covariance_csv(
-        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=added
+        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=air_covariance
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
     if recording is not None:

@@ -12,7 +12,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number_text
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement, target_distortion
 from ltsim.diagnosis.evidence import (
@@ -40,6 +40,7 @@ from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.effects.signature import CandidateEffect, n_constants
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_file_names
@@ -76,17 +77,19 @@ class ExplainedRecording:
     def _ranking(self, member: int) -> Ranking:
         """Ranking of all alternatives to a member, changes of the noise and an unmodelled cause included."""
         searcher, model = self.state.searcher, self.model
-        others = searcher.model_without(model, member)
+        other_members = searcher.model_without(model, member)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.state.ranked_noise(others)
+            for value, change in self.state.ranked_noise(other_members)
         ]
         effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
-        mean = coefficient_posterior(*searcher.evidence_calculator.gram_and_score([effect], others)[0], spread)[0]
+        mean = coefficient_posterior(*searcher.evidence_calculator.gram_and_score([effect], other_members)[0], spread)[
+            0
+        ]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
-        return searcher.ranking(others).with_rivals(noises).with_unmodelled_cause(likeness)
+        return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
         """Posterior probability that the named effect is the cause.
@@ -97,8 +100,8 @@ class ExplainedRecording:
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
-        same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
-        return same + P_SAME_OBSERVABLE * ranking.p_unmodelled
+        p_same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
+        return p_same + P_SAME_OBSERVABLE * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:
@@ -113,8 +116,8 @@ class ExplainedRecording:
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
         """Decrease of the squared residuals (m,) by each member given the others."""
-        without = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
-        return [others.residual**2 - self.model.residual**2 for others in without]
+        reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
+        return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
     def withheld_keys(self) -> tuple[str, ...]:
@@ -123,12 +126,12 @@ class ExplainedRecording:
         The strongest is reported if there is no other finding, or if it is certain that there is a cause.
         """
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
-        doubtful = [
+        is_doubtful = [
             self.p_real(i) < MIN_PROBABLE
             and (gains[i] < max(gains) or (self.has_test_findings and self.p_any(i) < 1.0 - FAMILY_LEVEL))
             for i in range(len(members))
         ]
-        return tuple(member.key for member, doubt in zip(members, doubtful, strict=True) if doubt)
+        return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
     def p_real(self, member: int) -> float:
         """Probability that a member is real, whatever its name, and that no wrong readings are the cause in its place.
@@ -174,37 +177,37 @@ class ExplainedRecording:
             *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
         )[0]
         signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
-        done = signature @ mean
-        projected = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
-        where = self._scope(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
+        shift = signature @ mean
+        projected_signature = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
+        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_signature[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
-        more: dict[str, Any] = {}
+        extra_fields: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, EmpiricalLaw):
-            more = {
+            extra_fields = {
                 "carrier": effect.response.name,
                 "driver": regressor_text(effect.regressor, clock=self.state.recording.has_clock),
             }
-            more["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
-            law = law_text(effect, more["driver"])
-            sentence = law_sentence(where, estimates, p_located, law)
-            more["formula"] = "" if hypothesis.is_catalogued else law
+            extra_fields["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
+            law = law_text(effect, extra_fields["driver"])
+            sentence = law_sentence(scope, estimates, p_located, law)
+            extra_fields["formula"] = "" if hypothesis.is_catalogued else law
         elif isinstance(effect, Effect):
             other_effects = [e for k, e in enumerate(self.refit.effects) if k != member]
             names = [rival.effect for rival in rivals]
-            more["separate_by"] = separating_measurement(self.state.baseline, name, names, other_effects)
+            extra_fields["separate_by"] = separating_measurement(self.state.baseline, name, names, other_effects)
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
-            sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
-        more["moves_targets_um"] = moved = target_distortion(space, done)
-        touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
-        felt = number_text(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
-        sentence += f" If left uncorrected, it causes residuals of {felt} sigma (rms)"
-        sentence += f" and shifts the targets by {number_text(moved, 2)} um (rms).{self._readings_sentence(gain)}"
+            sentence = catalogue_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
+        extra_fields["moves_targets_um"] = distortion = target_distortion(space, shift)
+        n_touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
+        sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
+        sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
+        sentence += f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._readings_sentence(gain)}"
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
-            where=where,
+            where=scope,
             parameters=estimates,
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
@@ -215,18 +218,18 @@ class ExplainedRecording:
             ),
             sentence=sentence,
             equivalents=rivals,
-            **_non_empty_entries(more),
+            **_non_empty_entries(extra_fields),
         )
 
     def _readings_sentence(self, gain: Floats) -> str:
         """Sentence on the readings with most of a gain (m,), if they are few."""
         use, recording = self.state.searcher.space.used_readings, self.state.recording
         reading_gain = gain[: int(use.sum())]
-        worst = np.argsort(-reading_gain)
+        order = np.argsort(-reading_gain)
         count = (
             int(
                 np.searchsorted(
-                    np.cumsum(reading_gain[worst]),
+                    np.cumsum(reading_gain[order]),
                     MIN_LISTED_CHI2_FRACTION * max(float(gain.sum()), MIN_TESTED_INFORMATION),
                 )
             )
@@ -235,7 +238,7 @@ class ExplainedRecording:
         if count > MAX_LISTED_READINGS:
             return ""
         at = [
-            (int(row), int(kind)) for row, kind in zip(*(part[worst[:count]] for part in np.nonzero(use)), strict=True)
+            (int(row), int(kind)) for row, kind in zip(*(part[order[:count]] for part in np.nonzero(use)), strict=True)
         ]
         station, target = recording.stations, recording.targets
         names = (
@@ -263,11 +266,11 @@ class ExplainedRecording:
 
     def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
-        where = effect_scope(effect, carrying_observables)
+        scope = effect_scope(effect, carrying_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
-            if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
-                return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
-        return where
+            if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
+                return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
+        return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
@@ -286,20 +289,20 @@ class ExplainedRecording:
         adjustment, which = self.state.baseline, self._instrument_index(effect)
         prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
-        wider = 1.0 / np.maximum(1.0 - variance / prior**2, MIN_TESTED_INFORMATION)
-        value, sigma = adjustment.state.instrument_parameters[which] * wider, np.sqrt(variance * wider)
-        at = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
+        factors = 1.0 / np.maximum(1.0 - variance / prior**2, MIN_TESTED_INFORMATION)
+        value, sigma = adjustment.state.instrument_parameters[which] * factors, np.sqrt(variance * factors)
+        indices = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
         return tuple(
-            ParameterEstimate.from_si(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True)
+            ParameterEstimate.from_si(p, value[k], sigma[k]) for p, k in zip(effect.parameters, indices, strict=True)
         )
 
     def _instrument_index(self, effect: CandidateEffect) -> int:
         """Index of the instrument whose set-ups an effect is confined to."""
         recording = self.state.recording
-        at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
-        return int(recording.instrument[recording.station == at][0])
+        index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
+        return int(recording.instrument[recording.station == index][0])
 
-    def _estimates_of(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[ParameterEstimate, ...]:
+    def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
         """Sizes of a member, in rows in place of time for a recording without clock."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
@@ -308,7 +311,7 @@ class ExplainedRecording:
         ]
         if isinstance(hypothesis.effect, BASELINE_EFFECT_TYPES):
             return self._constants_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, others, refitted)
+        estimates = self.state.searcher.estimates(hypothesis, other_members, refitted)
         return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
 
 
@@ -317,9 +320,9 @@ def noise_finding(
 ) -> Finding:
     """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
     effect = hypothesis.effect
-    where = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
-    every = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
-    rows = [ParameterEstimate.from_si(*names) for names in every if np.isfinite(names[2])]
+    scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
+    sizes = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
+    rows = [ParameterEstimate.from_si(*names) for names in sizes if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
         more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
@@ -339,11 +342,14 @@ def noise_finding(
                 ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
-        sentence = unknown_effect_sentence(where, effect.text + most)
+        sentence = unknown_effect_sentence(scope, effect.text + most)
+        if isinstance(effect, CentringVariance):
+            text = with_sigma(rows[0].value, rows[0].sigma, rows[0].unit)
+            sentence = f"Centring errors: {effect.text}, with a standard deviation of {text} along each axis."
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
-        where=where,
+        where=scope,
         parameters=tuple(rows),
         evidence=FindingEvidence(
             chi2_drop=hypothesis.chi2_drop,
@@ -351,7 +357,7 @@ def noise_finding(
             p_value=detection.p_value_of(hypothesis.evidence),
             probability=hypothesis.probability,
         ),
-        sentence=sentence or catalogue_sentence(effect.name, where, rows, hypothesis.probability),
+        sentence=sentence or catalogue_sentence(effect.name, scope, rows, hypothesis.probability),
         equivalents=hypothesis.equivalents,
         **_non_empty_entries(more),
     )
@@ -361,34 +367,34 @@ def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sigh
     """Observables whose noise differs significantly from the declared one, in the direction of the largest size."""
     sizes = hypothesis.effect.size_scales
     sizes_in_units = np.array(hypothesis.sizes) / sizes
-    sure = (
+    signed_sizes = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
         > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / sizes
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
-    acts = (hypothesis.effect.variance(sightings, unit_variance, np.where(sure, sizes, 0.0)) != unit_variance).any(
-        axis=0
-    )
+    acts = (
+        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, sizes, 0.0)) != unit_variance
+    ).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
 
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
-    what = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
+    phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
-    return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
+    return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
 
 
-def _non_empty_entries(more: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Entries with a non-empty value."""
-    return {key: value for key, value in more.items() if value}
+    return {key: value for key, value in entries.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
     """True if a size is far beyond a plausible one, or negative for a positive parameter."""
     sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
-    matched = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
-    large = any(
-        abs(e.value) - 2 * e.sigma > MIN_IMPLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matched
+    matches = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
+    is_large = any(
+        abs(e.value) - 2 * e.sigma > MIN_IMPLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
     )
-    return large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matched)
+    return is_large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

@@ -64,22 +64,22 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
         ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
         name_probabilities(chances, _effect_of_constant(p)),
     )
-    others = " or ".join(parameter_text(other.name) for other in contradiction.rivals if other != p)
+    rival_names = " or ".join(parameter_text(other.name) for other in contradiction.rivals if other != p)
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
-    ambiguity = f" These readings hardly distinguish it from {others}." if others else ""
+    ambiguity = f" These readings hardly distinguish it from {rival_names}." if rival_names else ""
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
         f"probability {percent_text(off)}.{ambiguity}"
     )
-    drop = (contradiction.difference / contradiction.sigma) ** 2
+    chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
     return Finding(
         effect=_effect_of_constant(p),
         known=True,
         where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
         evidence=FindingEvidence(
-            chi2_drop=drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
+            chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
         ),
         sentence=sentence,
         equivalents=rivals,
@@ -92,7 +92,7 @@ def _effect_of_constant(constant: Parameter) -> str:
 
 
 EFFECT_BY_CAUSE = {
-    ("constant-offset", "distance"): "range-offset",
+    ("constant-offset", "distance"): "reflector-constant",
     ("constant-offset", "elevation"): "vertical-index",
     ("scale-error", "distance"): "range-scale",
     ("orientation", "azimuth"): "station-bump",
@@ -100,6 +100,7 @@ EFFECT_BY_CAUSE = {
     ("station-drift", "position"): "station-settling",
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
+    ("centring", "position"): "nest-lift",
     ("names", "position"): "target-swap",
     ("names", "point"): "target-swap",
     ("unit", "position"): "wrong-unit",

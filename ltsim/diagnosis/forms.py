@@ -41,9 +41,9 @@ MAX_PIECES = 10
 """Largest number of steps and ramps of a law."""
 
 
-def min_promising_evidence(best: float) -> float:
+def min_promising_evidence(best_evidence: float) -> float:
     """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
-    return 0.5 * best - 5.0
+    return 0.5 * best_evidence - 5.0
 
 
 def evaluate_forms(
@@ -52,32 +52,38 @@ def evaluate_forms(
     """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
     sightings = calculator.space.sightings
     law = law.equivalent_index_law(sightings)
-    whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
-    tried = _piecewise_forms(calculator, law, whole + float(np.log(P_PIECEWISE)), base_model) if pieces else []
-    whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
+    base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
+    hypotheses = (
+        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_PIECEWISE)), base_model) if pieces else []
+    )
+    base_evidence += float(np.log(1.0 - P_PIECEWISE)) if hypotheses else 0.0
     always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
-    switched = switched_forms(calculator, always, whole + share, base_model) if pieces else []
-    whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
-    tried += switched
-    each = law.per_setup(sightings)
-    tried += _functional_forms(calculator, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base_model)
-    tried += _functional_forms(calculator, each, whole + np.log(P_PER_SETUP), base_model) if each else []
-    tried += _functional_forms(calculator, always, whole, base_model) if always != law else []
+    switch_hypotheses = switched_forms(calculator, always, base_evidence + share, base_model) if pieces else []
+    base_evidence += float(np.log(1.0 - P_SWITCHED)) if switch_hypotheses else 0.0
+    hypotheses += switch_hypotheses
+    setup_laws = law.per_setup(sightings)
+    hypotheses += _functional_forms(
+        calculator, law, base_evidence + (np.log(1.0 - P_PER_SETUP) if setup_laws else 0.0), base_model
+    )
+    hypotheses += (
+        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_PER_SETUP), base_model) if setup_laws else []
+    )
+    hypotheses += _functional_forms(calculator, always, base_evidence, base_model) if always != law else []
     factors = (
-        [h for h in tried if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
+        [h for h in hypotheses if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
         if pieces
         else []
     )
-    tried += product_forms(calculator, factors[_index_of_best(factors)], base_model) if factors else []
-    tried = [form for hypothesis in tried for form in _forms_with_ratio(calculator, hypothesis, base_model)]
-    top = tried.pop(_index_of_best(tried))
-    tried += _forms_at_set_ups(calculator, top, base_model)
-    best = []
-    for name in {h.name: None for h in tried}:
-        same_name = [h for h in tried if h.name == name]
+    hypotheses += product_forms(calculator, factors[_index_of_best(factors)], base_model) if factors else []
+    hypotheses = [form for hypothesis in hypotheses for form in _forms_with_ratio(calculator, hypothesis, base_model)]
+    top = hypotheses.pop(_index_of_best(hypotheses))
+    hypotheses += _forms_at_set_ups(calculator, top, base_model)
+    best_items = []
+    for name in {h.name: None for h in hypotheses}:
+        same_name = [h for h in hypotheses if h.name == name]
         total = float(log_sum_exp(np.array([h.log_evidence for h in same_name])))
-        best.append(replace(same_name[_index_of_best(same_name)], log_evidence=total))
-    return best
+        best_items.append(replace(same_name[_index_of_best(same_name)], log_evidence=total))
+    return best_items
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
@@ -90,12 +96,14 @@ def _functional_forms(
 ) -> list[Hypothesis]:
     """Functional forms of a law at its place."""
     forms = law.candidate_forms(calculator.space.sightings)
-    whole = sum(FORM_WEIGHTS[kind] for kind in forms)
-    shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / whole / len(sets))) for kind, sets in forms.items()}
-    asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
-    single, several = ([form for form in asked if (len(form[1]) == 1) == is_single] for is_single in (True, False))
-    climbed = calculator.refine_locally([scales[0] for _, scales in single], base_model)
-    candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
+    weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
+    shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()}
+    form_scales = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
+    single, several = (
+        [form for form in form_scales if (len(form[1]) == 1) == is_single] for is_single in (True, False)
+    )
+    refined = calculator.refine_locally([scales[0] for _, scales in single], base_model)
+    candidates = [(share, *best) for (share, _), best in zip(single, refined, strict=True)]
     moments = calculator.gram_and_score([scales[0] for _, scales in several], base_model)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.size_scales for scaled in scales])
@@ -147,19 +155,21 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
-    made = [
+    hypotheses = [
         Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
     ]
-    confined = [other for hypothesis in made for other in _forms_with_ratio(calculator, hypothesis, base_model)]
+    with_ratios = [
+        other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)
+    ]
     evidence = form.log_evidence - form.log_prior
     same = [
         replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior)
-        for h in confined
+        for h in with_ratios
         if isinstance(h.effect, EmpiricalLaw)
         and h.effect.regressor == law.regressor.centred_on(law.targets)
         and abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE
     ]
-    return same[:1] or [form, *confined]
+    return same[:1] or [form, *with_ratios]
 
 
 def _piecewise_forms(
@@ -169,25 +179,25 @@ def _piecewise_forms(
     atoms = law.candidate_pieces(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
-    whole = law.with_pieces(atoms)
-    gram, score = calculator.gram_and_score([whole], base_model)[0]
-    spread = whole.size_scales
-    places = np.arange(len(score)).reshape(len(whole.response.component_names), len(atoms), -1)
-    chosen: list[int] = []
+    full_law = law.with_pieces(atoms)
+    gram, score = calculator.gram_and_score([full_law], base_model)[0]
+    spread = full_law.size_scales
+    places = np.arange(len(score)).reshape(len(full_law.response.component_names), len(atoms), -1)
+    atom_indices: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
-    while len(chosen) < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
+    while len(atom_indices) < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
-        free = [i for i in range(len(atoms)) if i not in chosen]
-        columns = np.stack([places[:, [*chosen, i]].ravel() for i in free])
+        free = [i for i in range(len(atoms)) if i not in atom_indices]
+        columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in free])
         values[free] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
-        chosen.append(index_of_best(values))
-        value = float(log_sum_exp(values)) - len(chosen) * price
+        atom_indices.append(index_of_best(values))
+        value = float(log_sum_exp(values)) - len(atom_indices) * price
         if value > best + MAX_EVIDENCE_TIE:
-            best, taken = value, len(chosen)
+            best, taken = value, len(atom_indices)
     refined, value = calculator.refine_locally(
-        [law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base_model
+        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:taken])])], base_model
     )[0]
     prior -= taken * price
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
@@ -206,16 +216,16 @@ def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covari
 
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """
-    driver = law.regressor
-    if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
+    regressor = law.regressor
+    if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):
         return None
     law, way, means, spread = law.law_at_largest_effect(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.quantities[driver.covariates[0]][law.row_weights(sightings) > 0]
-    if driver.kind in ("wave", "cycle"):
-        cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
+    x = sightings.quantities[regressor.covariates[0]][law.row_weights(sightings) > 0]
+    if regressor.kind in ("wave", "cycle"):
+        cycles = float(np.ptp(x)) * regressor.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(N_POINTS_PER_CYCLE * cycles, N_CURVE_POINTS, MAX_CURVE_POINTS)))
-        columns = fourier_columns(driver.constant * at, driver.n_columns // 2)
+        columns = fourier_columns(regressor.constant * at, regressor.n_columns // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
@@ -224,7 +234,7 @@ def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covari
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
     return ResponseCurve(
-        covariate=driver.covariates[0],
+        covariate=regressor.covariates[0],
         unit=unit,
         at=tuple(at.tolist()),
         value=tuple((values * factor).tolist()),

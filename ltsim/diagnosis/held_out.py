@@ -81,8 +81,8 @@ def _quadratic_form_on_fold(residual: Floats, values: Floats, vectors: Floats) -
     The complement of the eigenvectors has redundancy one.
     """
     along = (vectors.T @ residual) ** 2
-    predicted = values < 1.0 - MIN_NUMERICAL_REDUNDANCY
-    return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))
+    is_predicted = values < 1.0 - MIN_NUMERICAL_REDUNDANCY
+    return float(residual @ residual - along.sum() + np.sum(along[is_predicted] / (1.0 - values[is_predicted])))
 
 
 def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:

@@ -99,8 +99,8 @@ class Model:
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
-        projected = np.hstack(self.projected_signatures)
-        return projected.T @ projected, projected.T @ self.baseline_residual
+        projected_signature = np.hstack(self.projected_signatures)
+        return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
@@ -111,8 +111,12 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        visible = strength > MIN_NUMERICAL_REDUNDANCY
-        return 0.5 * RELATIVE_MODEL_ERROR * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
+        is_visible = strength > MIN_NUMERICAL_REDUNDANCY
+        return (
+            0.5
+            * RELATIVE_MODEL_ERROR
+            * float(np.sum((turn.T @ (unit * score))[is_visible] ** 2 / strength[is_visible]))
+        )
 
     @cached_property
     def score(self) -> float:
@@ -188,27 +192,28 @@ class Ranking:
         """Posterior probability of an unmodelled cause."""
         return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
 
-    def posterior_probability_of(self, chosen: Callable[[Hypothesis], bool]) -> float:
-        """Posterior probability of the `chosen` hypotheses together."""
+    def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
+        """Posterior probability of the `is_counted` hypotheses together."""
         return min(
-            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if chosen(h)), 1.0
+            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)),
+            1.0,
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        named = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
-            named[hypothesis.name] = min(named.get(hypothesis.name, 0.0) + weight, 1.0)
-        return named
+            by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
+        return by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all names together."""
-    named = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
-        if probabilities.get("unknown", 0.0) > sum(named.values())
-        else max(named, key=lambda name: named[name])
+        if probabilities.get("unknown", 0.0) > sum(by_name.values())
+        else max(by_name, key=lambda name: by_name[name])
     )
 
 
@@ -234,38 +239,38 @@ def _log_evidence_over_sizes(model: Model) -> float:
     gram, score = model.gram_and_scores
     spread, owner = _plausible_sizes(model.members)
     count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
-    bordered = np.block([[gram, score[:, None]], [score, whole]])
+    bordered_matrix = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
         """Log evidence with prior (b,) at sizes (b, members)."""
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
-        factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + unit_prior)
+        factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
         value: Floats = fit - size + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
     best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))
-    near = [every] * count
+    neighbours = [every] * count
     for _ in range(2 if count > 1 else 0):
         for i in range(count):
             tried = np.tile(best, (len(EVIDENCE_SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
             best[i] = index_of_best(values)
-            near[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
-    return float(log_sum_exp(evidence(np.array(list(product(*near))))))
+            neighbours[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
+    return float(log_sum_exp(evidence(np.array(list(product(*neighbours))))))
 
 
 def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all coefficients, and the member (k,) of each."""
-    each = [h.plausible_sizes for h in members]
-    return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
+    size_sets = [h.plausible_sizes for h in members]
+    return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
-def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
     """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
-    if hypothesis.name not in {h.name for h in others}:
+    if hypothesis.name not in {h.name for h in other_members}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

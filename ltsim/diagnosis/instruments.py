@@ -141,22 +141,26 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
-    corrected = np.array([setup.instrument_named(name).corrected for name in recording.instruments])
-    is_compared = ~corrected & (np.sum(~corrected) > 1)
-    common = np.where(np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
-    common /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
-    separate = np.where(corrected, CORRECTED_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
-    blocks = common + (np.eye(len(unit)) * separate)[:, :, None]
+    is_corrected = np.array([setup.instrument_named(name).corrected for name in recording.instruments])
+    is_compared = ~is_corrected & (np.sum(~is_corrected) > 1)
+    common_variance = np.where(
+        np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0
+    )
+    common_variance /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
+    separate_variance = np.where(is_corrected, CORRECTED_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
+    blocks = common_variance + (np.eye(len(unit)) * separate_variance)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
-    ours = tuple(np.flatnonzero(corrected).tolist())
-    owners = [(i,) for i in np.flatnonzero(corrected | is_compared).tolist()] + ([ours] if len(ours) > 1 else [])
-    words = {group: CONSTANT_REFERENCE_PHRASES[bool(corrected[group[0]])] for group in owners}
+    corrected_indices = tuple(np.flatnonzero(is_corrected).tolist())
+    owners = [(i,) for i in np.flatnonzero(is_corrected | is_compared).tolist()] + (
+        [corrected_indices] if len(corrected_indices) > 1 else []
+    )
+    words = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
     changes = tuple(ConstantChange(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
     return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
 
 
 def compare_constants(
-    adjustment: Adjustment, expected: ExpectedConstants, min_log_evidence: float
+    adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
 ) -> list[ConstantContradiction]:
     """Constants that differ from their expectation, each with more than `min_log_evidence` given the others.
 
@@ -170,57 +174,70 @@ def compare_constants(
         adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
     surprise, odds = (
-        likelihood.information_vector - likelihood.information @ expected.mean,
-        log_prior_share("constant", len(expected.changes)),
+        likelihood.information_vector - likelihood.information @ expectation.mean,
+        log_prior_share("constant", len(expectation.changes)),
     )
-    ways = np.zeros((len(expected.changes), *unit.shape))
-    for way, change in zip(ways, expected.changes, strict=True):
+    ways = np.zeros((len(expectation.changes), *unit.shape))
+    for way, change in zip(ways, expectation.changes, strict=True):
         way[list(change.instruments), change.constant] = 1.0
     ways = ways.reshape(len(ways), unit.size)
 
-    def logs(others: Collection[int]) -> Floats:
+    def logs(other_changes: Collection[int]) -> Floats:
         """Log evidence (h,) of each change given the others."""
-        given = ways[list(others)]
+        given_changes = ways[list(other_changes)]
         score, weight = score_test(
-            likelihood.information, surprise, expected.covariance + CHANGED_PRIOR_VARIANCE * given.T @ given
+            likelihood.information,
+            surprise,
+            expectation.covariance + CHANGED_PRIOR_VARIANCE * given_changes.T @ given_changes,
         )
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
         values = np.full(len(ways), -np.inf)
-        for k in np.flatnonzero((strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(others))):
-            change = expected.changes[k]
+        for k in np.flatnonzero(
+            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(other_changes))
+        ):
+            change = expectation.changes[k]
             values[k] = odds + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
             )
         return values
 
-    selected = forward_select(logs, min_log_evidence)
-    score, weight = score_test(likelihood.information, surprise, expected.covariance)
-    every = ways @ weight @ ways.T
-    reported: list[int] = []
-    for k in sorted((k for k in selected if selected[k][k] > min_log_evidence), key=lambda k: -selected[k][k]):
-        square = every[np.ix_([*reported, k], [*reported, k])]
+    odds_by_change = forward_select(logs, min_log_evidence)
+    score, weight = score_test(likelihood.information, surprise, expectation.covariance)
+    information = ways @ weight @ ways.T
+    contradictions: list[int] = []
+    for k in sorted(
+        (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
+    ):
+        square = information[np.ix_([*contradictions, k], [*contradictions, k])]
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
-            reported.append(k)
-    if not reported:
+            contradictions.append(k)
+    if not contradictions:
         return []
     changed = [
         np.log(share)
         + log_marginal_likelihood(
-            likelihood, expected.mean, expected.covariance + size**2 * ways[reported].T @ ways[reported]
+            likelihood,
+            expectation.mean,
+            expectation.covariance + size**2 * ways[contradictions].T @ ways[contradictions],
         )
         for size, share in SIZE_PRIOR.items()
     ]
     unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
     joint = float(log_sum_exp(np.array(changed))) - unchanged
-    covariance = np.linalg.inv(every[np.ix_(reported, reported)])
-    gap, sigma = covariance @ ways[reported] @ score, np.sqrt(np.diag(covariance))
-    units = [unit[expected.changes[k].instruments[0], expected.changes[k].constant] for k in reported]
+    covariance = np.linalg.inv(information[np.ix_(contradictions, contradictions)])
+    gap, sigma = covariance @ ways[contradictions] @ score, np.sqrt(np.diag(covariance))
+    units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
         _contradiction_of_change(
-            adjustment, expected.changes, selected[k], k, joint + odds * len(reported), *map(float, (g * u, s * u, c))
+            adjustment,
+            expectation.changes,
+            odds_by_change[k],
+            k,
+            joint + odds * len(contradictions),
+            *map(float, (g * u, s * u, c)),
         )
-        for k, g, s, c, u in zip(reported, gap, sigma, chance, units, strict=True)
+        for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
     ]
 
 
@@ -228,17 +245,14 @@ def _contradiction_of_change(
     adjustment: Adjustment,
     changes: Sequence[ConstantChange],
     logs: Floats,
-    k: int,
-    joint: float,
+    change_index: int,
+    joint_evidence: float,
     gap: float,
     sigma: float,
     chance: float,
 ) -> ConstantContradiction:
-    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives.
-
-    `joint` is the log evidence of all contradictions together.
-    """
-    change, parameters = changes[k], adjustment.construction.parameters
+    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
+    change, parameters = changes[change_index], adjustment.construction.parameters
     rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
     share = normalised_probabilities(logs[rivals])
     return ConstantContradiction(
@@ -246,8 +260,8 @@ def _contradiction_of_change(
         parameter=parameters[change.constant],
         difference=gap,
         sigma=sigma,
-        evidence=float(logs[k]),
-        joint_evidence=joint,
+        evidence=float(logs[change_index]),
+        joint_evidence=joint_evidence,
         p_value=chance,
         against=change.reference_text,
         rivals={
@@ -261,9 +275,9 @@ def _contradiction_of_change(
 def _change_log_evidence(gap: float, variance: Floats | float, weights: Floats | float) -> float:
     """Log evidence of a change from its estimate, averaged over variances (s,) with log weights (s,)."""
     variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
-    unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
-    changed = unchanged + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
-    return float(log_sum_exp(changed) - log_sum_exp(unchanged))
+    log_unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
+    log_changed = log_unchanged + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
+    return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 
 
 MIN_INFORMATION = 1e-3
@@ -288,17 +302,19 @@ class HistoryExpectation:
 
     @classmethod
     def from_calibrations(
-        cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction
+        cls, calibrations: EarlierCalibrations, recording: Recording, construction: Construction
     ) -> HistoryExpectation:
         """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
         names = recording.instruments
-        if len(earlier.instruments) < min(len(names), 2):
+        if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(
                 f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
                 "those of all of them"
             )
-        nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
-        return cls(earlier, earlier.replace_nominal_prior(nominal, construction, names), nominal.sigma)
+        nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        return cls(
+            calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
+        )
 
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
         """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""
@@ -335,12 +351,14 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
-        scatter = count / np.maximum(precision, MIN_INFORMATION)
-        usual = scatter + np.median(spread) - spread
-        wider = np.minimum(np.outer(scatter, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
-        shown = (count - 1 + PRIOR_DOF * usual / scatter)[:, None]
+        variances = count / np.maximum(precision, MIN_INFORMATION)
+        usual_variance = variances + np.median(spread) - spread
+        added_variance = np.minimum(
+            np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
+        )
+        shown = (count - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
         weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
-        return np.maximum(wider * (1.0 + 1.0 / count), -spread[:, None]), weights
+        return np.maximum(added_variance * (1.0 + 1.0 / count), -spread[:, None]), weights
 
     def _reference_phrase(self, parameter: Parameter) -> str:
         """Name of the reference that a constant is compared with."""

@@ -68,18 +68,18 @@ class RowPartition:
     is_in_place: sp.csr_array
 
     @classmethod
-    def from_places(cls, places: Sequence[LawPlace], count: int) -> RowPartition:
-        """Partition of `count` pointings by the places that they belong to."""
-        inside = np.zeros((len(places), count), dtype=bool)
-        for here, place in zip(inside, places, strict=True):
+    def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> RowPartition:
+        """Partition of `n_pointings` pointings by the places that they belong to."""
+        is_inside = np.zeros((len(places), n_pointings), dtype=bool)
+        for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
-        _, first, cell = np.unique(np.packbits(inside, axis=0), axis=1, return_index=True, return_inverse=True)
+        _, first, cell = np.unique(np.packbits(is_inside, axis=0), axis=1, return_index=True, return_inverse=True)
         order = np.argsort(cell.ravel(), kind="stable")
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
-        return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
+        return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Chunks of at most `max_pointings`: slice of the order, pointings, and slice of each cell in the chunk."""
+        """Groups of at most `max_pointings` pointings: slice of the order, pointings, and slices of their cells."""
         for start in range(0, len(self.order), max_pointings):
             end = min(start + max_pointings, len(self.order))
             first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
@@ -87,9 +87,9 @@ class RowPartition:
             here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
             yield slice(start, end), self.order[start:end], here
 
-    def sums_over_places(self, parts: Any) -> Any:
+    def sums_over_places(self, cell_sums: Any) -> Any:
         """Sums (P, ...) over places from the sums over cells (cells, ...)."""
-        return (self.is_in_place @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
+        return (self.is_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
 class RegressorColumns:
@@ -111,14 +111,14 @@ class RegressorColumns:
         self.is_cached = False
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)  # of one regressor
 
-    def columns_of(self, part: slice) -> Singles:
+    def columns_of(self, regressors: slice) -> Singles:
         """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_SHARED_COLUMN_ENTRIES:
-            return self._compute_columns(self._regressors[part])
+            return self._compute_columns(self._regressors[regressors])
         if self._all_columns is None:
             self._all_columns = self._compute_columns(self._regressors)
         size = self._regressors[0].n_columns
-        return self._all_columns[:, part.start * size : part.stop * size]
+        return self._all_columns[:, regressors.start * size : regressors.stop * size]
 
     def release(self) -> None:
         """Removal of columns that are not cached."""
@@ -172,47 +172,53 @@ class LawBatch:
         step = max(
             1, min(MAX_COLUMNS_AT_PLACES // products, MAX_COLUMN_ENTRIES // self.columns.n_entries_per_regressor)
         )
-        parts = [self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
-        values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
-        null = log_sum_exp(np.stack([null for _, null in parts]))
-        best = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[:, :MAX_HITS_PER_PLACE]
+        batch_results = [
+            self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)
+        ]
+        values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
+        null = log_sum_exp(np.stack([null for _, null in batch_results]))
+        best_index = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[
+            :, :MAX_HITS_PER_PLACE
+        ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
-            for place, prior, indices, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
+            for place, prior, indices, here in zip(
+                self.places, self.log_prior.tolist(), best_index, values, strict=True
+            )
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
         return hits, float(log_sum_exp(values.ravel())), null
 
-    def _log_evidence_at_places(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
+    def _log_evidence_at_places(self, probe: NullEnsemble, regressors: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) of some regressors with priors, and its log sum over trials.
 
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
         """
-        columns = self.columns.columns_of(part)
+        columns = self.columns.columns_of(regressors)
         scores = self._products_with_ensemble(probe, columns)
         score, trials, _ = probe.split_products(scores)
         null = np.full((1, probe.n_trials), -np.inf)
         if probe.is_first_pass:
-            turned = self._eigen_decomposition(probe.projected_gram(scores, self._gram_matrices(columns)), part)
-            self._quadratic_forms[part.start] = turned
+            turned = self._eigen_decomposition(probe.projected_gram(scores, self._gram_matrices(columns)), regressors)
+            self._quadratic_forms[regressors.start] = turned
             if probe.n_trials:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
-        each = [
+        log_evidences = [
             log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
-            for strength, turn in self._quadratic_forms[part.start]
+            for strength, turn in self._quadratic_forms[regressors.start]
         ]
-        return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
+        return log_sum_exp(np.stack(log_evidences)) + self.log_prior[:, None, None], log_sum_exp(null)
 
-    def _eigen_decomposition(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
+    def _eigen_decomposition(self, gram: Floats, regressors: slice) -> list[tuple[Floats, Singles]]:
         """Eigenvalues (P, C, d, k) per scale, and the matrix that transforms scores to eigenvectors."""
-        turned = []
-        for spread in (spread[part] for spread in self._prior_sigmas):
+        transforms = []
+        for spread in (spread[regressors] for spread in self._prior_sigmas):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
-            turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
-        return turned
+            transforms.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+        return transforms
 
     def _products_with_ensemble(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
@@ -227,8 +233,8 @@ class LawBatch:
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
-        return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
+        products = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+        return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
@@ -244,8 +250,8 @@ class LawBatch:
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ pairs[at]
-        shaped = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
-        return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)
+        grams = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+        return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
 
 
 def score_batches(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:

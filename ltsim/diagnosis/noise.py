@@ -22,6 +22,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.noise_centring import estimate_centring
 from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
 from ltsim.diagnosis.noise_groups import (
     NOISY_GROUP_FRACTIONS,
@@ -30,15 +31,16 @@ from ltsim.diagnosis.noise_groups import (
     NoiseByGroup,
     RecordingNoiseLevel,
 )
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis as NoiseHypothesis
 from ltsim.diagnosis.noise_patterns import variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
-from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
@@ -63,25 +65,6 @@ VARIANCE_GRID_HALF_WIDTH = 4.0
 """Half-width of a grid on which the posterior of a size is summed, in standard deviations."""
 N_GRID_ZOOMS = 9
 """Number of such grids: sums of a normal density are exact for spacings up to 1.5 deviations."""
-
-
-@dataclass(frozen=True)
-class NoiseHypothesis:
-    """A noise effect with sizes: a point of its grid, or estimates with standard deviations and evidence."""
-
-    family: str
-    effect: NoiseSignature
-    sizes: tuple[float, ...]
-    size_sigmas: tuple[float, ...] = ()
-    chi2_drop: float = 0.0
-    evidence: float = 0.0
-    probability: float = 0.0
-    equivalents: tuple[Equivalent, ...] = ()
-
-    @property
-    def log_prior(self) -> float:
-        """Log prior probability of its kind among all explanations."""
-        return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -121,25 +104,27 @@ class NoiseBank:
 
     @classmethod
     def from_space(
-        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True
+        cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseBank:
         """Bank of noise hypotheses on a residual space.
 
-        Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
+        Without `allows_quieter` noise is never less than declared: errors that repeat make the differences of repeats
+        small.
         """
-        repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
-        means = sp.csr_array(sp.vstack(repeated))
-        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeated)
-        other = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
+        repeat_patterns = [repeat_means(space, faces) for faces in REPETITION_KINDS]
+        means = sp.csr_array(sp.vstack(repeat_patterns))
+        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
+        other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
         factors = NoiseFactors.from_patterns(
-            _noise_patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.used_readings)[1], *other])
+            _noise_patterns(space, hypotheses, repeat_patterns),
+            np.concatenate([np.nonzero(space.used_readings)[1], *other_groups]),
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
         amounts = (
-            RecordingNoiseLevel.from_space(space, quieter=quieter),
+            RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *NoiseByGroup.all_of(space),
             *NoiseWindows.from_space(space),
         )
@@ -154,8 +139,8 @@ class NoiseBank:
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
         step = max(1, MAX_RESIDUAL_ENTRIES // len(residual))
-        parts = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
-        return np.hstack([self._family_evidence(part, redundancy) for part in parts])
+        batches = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
+        return np.hstack([self._family_evidence(part, redundancy) for part in batches])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
@@ -179,38 +164,38 @@ class NoiseBank:
         share = np.array([self.log_prior_of_family(family) for family in self.families])
         return log_means_by_group(ratio, self.family, len(self.families)) + share[:, None]
 
-    def log_restricted_likelihood_ratio(self, i: int, residual: Floats, extension: Floats) -> float:
+    def log_restricted_likelihood_ratio(self, index: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
         assert self.basis is not None
-        at, logs = self.factors.log_variance_factors(i)
+        at, logs = self.factors.log_variance_factors(index)
         weight, size = -np.expm1(-logs), len(residual)
-        estimated = np.hstack([self.basis, extension])
-        inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
+        basis = np.hstack([self.basis, extension])
+        basis_rows = np.vstack([basis[at[at < size]], self.means[at[at >= size] - size] @ basis])
         values = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
-        normal = np.eye(inside.shape[1]) - inside.T @ (weight[:, None] * inside)
-        turned = inside.T @ (weight * values)
-        fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
+        normal = np.eye(basis_rows.shape[1]) - basis_rows.T @ (weight[:, None] * basis_rows)
+        products = basis_rows.T @ (weight * values)
+        fit = float(weight @ values**2 + products @ np.linalg.solve(normal, products))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
-    def _excess_over_diagonal_form(self, i: int, ratio: float, residual: Floats, extension: Floats) -> float:
+    def _excess_over_diagonal_form(self, index: int, ratio: float, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis minus its diagonal form `ratio`; 0 without a basis."""
-        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(i, residual, extension) - ratio
+        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(index, residual, extension) - ratio
 
     def _fine_log_evidence(
-        self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats
+        self, members: Ints, best_member: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
         """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
-        effect = self.hypotheses[likeliest].effect
-        same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
-        tried = np.array([self.hypotheses[i].sizes for i in members[same].tolist()])
-        ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
+        effect = self.hypotheses[best_member].effect
+        is_same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
+        size_grid = np.array([self.hypotheses[i].sizes for i in members[is_same].tolist()])
+        size_limits = np.where(size_grid > 0.0, size_grid, np.inf).min(axis=0), size_grid.max(axis=0)
         reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
-        each = log_sum_exp(np.array([reml_gain(sizes) for sizes in np.geomspace(*ends, N_FINE_SIZES)])) - np.log(
-            N_FINE_SIZES
-        )
-        subsets = [*each, each.sum()] if len(each) > 1 else each
-        fine = log_sum_exp(np.array(subsets)) + np.log(same.sum() / len(subsets))
-        return float(log_sum_exp(np.append(ratio[~same], fine)) - np.log(len(members)))
+        log_evidences = log_sum_exp(
+            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_SIZES)])
+        ) - np.log(N_FINE_SIZES)
+        subsets = [*log_evidences, log_evidences.sum()] if len(log_evidences) > 1 else log_evidences
+        fine_evidence = log_sum_exp(np.array(subsets)) + np.log(is_same.sum() / len(subsets))
+        return float(log_sum_exp(np.append(ratio[~is_same], fine_evidence)) - np.log(len(members)))
 
     def ranked_families(
         self, residual: Floats, redundancy: Floats, extension: Floats
@@ -269,19 +254,26 @@ class NoiseBank:
 
     def ranked_group_noise(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[GroupNoise, float]]:
         """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
-        ranked = [(amount, self._log_evidence_of_group_noise(amount, residual, redundancy)) for amount in self.amounts]
-        least = max(rival, *(value for _, value in ranked)) * MIN_COMPARABLE_EVIDENCE_FRACTION
-        places = [
-            x for amount, value in ranked if value > least for x in amount.noise_at_best_place(residual, redundancy)
+        ranked_hypotheses = [
+            (amount, self._log_evidence_of_group_noise(amount, residual, redundancy)) for amount in self.amounts
         ]
-        return ranked + [(place, self._log_evidence_of_group_noise(place, residual, redundancy)) for place in places]
+        least = max(rival, *(value for _, value in ranked_hypotheses)) * MIN_COMPARABLE_EVIDENCE_FRACTION
+        places = [
+            x
+            for amount, value in ranked_hypotheses
+            if value > least
+            for x in amount.noise_at_best_place(residual, redundancy)
+        ]
+        return ranked_hypotheses + [
+            (place, self._log_evidence_of_group_noise(place, residual, redundancy)) for place in places
+        ]
 
     def _log_evidence_of_group_noise(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> float:
         return float(self._amounts_log_evidence(amount, residual[:, None], redundancy)[0])
 
 
 def _noise_patterns(
-    space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], repeated: Sequence[sp.csr_array]
+    space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], mean_patterns: Sequence[sp.csr_array]
 ) -> Iterator[VariancePattern]:
     """Added variances of the first rows, and sizes: of readings; of means too for what repeats.
 
@@ -296,7 +288,7 @@ def _noise_patterns(
             if faces := getattr(effect, "repetition", ""):
                 grown = (
                     relative_variance_of_means(m, added if kind == faces else np.zeros(0))
-                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
+                    for kind, m in zip(REPETITION_KINDS, mean_patterns, strict=True)
                 )
                 added = np.concatenate([np.zeros(space.n_rows), *grown])
             yield added, tuple(size for (size,) in sizes) if linear else (1.0,)
@@ -352,7 +344,7 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Float
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 
-def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
 
     Estimates are posterior means and deviations under a log-uniform prior of the variance factor, since the likelihood
@@ -360,7 +352,9 @@ def most_likely_sizes(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHy
     infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
-    reml_gain = reml_gain_function(space, nominal, effect, space.residuals, space.redundancy)
+    if isinstance(effect, CentringVariance):
+        return estimate_centring(space, hypothesis)
+    reml_gain = reml_gain_function(space, nominal_variance, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
     least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))

@@ -40,37 +40,37 @@ class PatternGroup:
     places: Ints | slice
     added: Singles | sp.csr_array
 
-    def log_likelihood_ratios(self, squares: Singles, share: Floats) -> Iterator[tuple[Ints, Floats]]:
+    def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Log likelihood ratios of some members (b,), (b, trials): sums of (1 - 1/s) r^2 - k log s, halved.
 
         Parameters
         ----------
         squares : (m, trials) float32
             Squares r^2 of all rows.
-        share : (m,) float
+        redundancy : (m,) float
             Redundancies k.
         """
-        squares, share = squares[self.places], share[self.places]
+        squares, redundancy = squares[self.places], redundancy[self.places]
         count = self.added.size if isinstance(self.added, np.ndarray) else self.added.nnz
         step = max(1, MAX_VARIANCE_FACTORS * self.added.shape[0] // max(count, 1))
         for start in range(0, len(self.members), step):
             part = slice(start, start + step)
             logs = self._log_variance_factors_of(part)
             fit = (_precision_loss(logs) @ squares).astype(np.float64)
-            yield self.members[part], 0.5 * (fit - (logs @ share)[:, None])
+            yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def log_variance_factors(self, member: int) -> tuple[Ints, Floats]:
         """Rows (r,) on which one of the members changes the noise, and the logs (r,) of its variance factors there."""
         logs = self._log_variance_factors_of(slice(member, member + 1))
         if not isinstance(logs, np.ndarray):
             return logs.indices, logs.data.astype(np.float64)
-        changed = np.flatnonzero(logs[0])
+        changed_indices = np.flatnonzero(logs[0])
         rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
-        return rows[changed], logs[0, changed].astype(np.float64)
+        return rows[changed_indices], logs[0, changed_indices].astype(np.float64)
 
-    def _log_variance_factors_of(self, part: slice) -> Singles | sp.csr_array:
+    def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of some members."""
-        added, size = self.added[self.pattern[part]], self.size[part]
+        added, size = self.added[self.pattern[members]], self.size[members]
         if isinstance(added, np.ndarray):
             return np.log1p(size[:, None] * added)
         data = np.log1p(np.repeat(size, np.diff(added.indptr)) * added.data)
@@ -125,11 +125,11 @@ class NoiseFactors:
             )
         return cls(count, tuple(groups))
 
-    def log_likelihood_ratios(self, squares: Singles, share: Floats) -> Floats:
+    def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all hypotheses, from squares (m, trials) and redundancies (m,)."""
         ratio = np.empty((self.count, squares.shape[1]))
         for group in self.groups:
-            for members, values in group.log_likelihood_ratios(squares, share):
+            for members, values in group.log_likelihood_ratios(squares, redundancy):
                 ratio[members] = values
         return ratio
 
@@ -152,8 +152,8 @@ def _pattern_group(
     return PatternGroup(members, pattern, size, places, added_variance)
 
 
-def _sparse_rows(made: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
+def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
     """Sparse rows (p, length) from the places and values of each."""
-    ends = np.cumsum([0, *(len(places) for places, _ in made)]).astype(np.int32)
-    places, values = (np.concatenate([part[k] for part in made]) for k in (0, 1))
-    return sp.csr_array((values, places, ends), (len(made), length))
+    ends = np.cumsum([0, *(len(places) for places, _ in row_entries)]).astype(np.int32)
+    places, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
+    return sp.csr_array((values, places, ends), (len(row_entries), length))

@@ -91,12 +91,14 @@ class RecordingNoiseLevel(GroupNoise):
     """Noise level of the whole recording: common to all observables, or separate for any of them."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, *, quieter: bool) -> RecordingNoiseLevel:
-        """Noise level of a space; below the declared one only if `quieter`."""
+    def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
+        """Noise level of a space; below the declared one only if `allows_quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.used_readings)[1]
         members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
         return cls(
-            level, members, GROUP_VARIANCE_FACTORS if quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0]
+            level,
+            members,
+            GROUP_VARIANCE_FACTORS if allows_quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
         )
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -157,15 +159,15 @@ class NoiseByGroup(GroupNoise):
         return tuple(banks)
 
     @classmethod
-    def _heavy_tail(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
+    def _heavy_tail(cls, space: ResidualSpace, observables: tuple[str, ...]) -> NoiseByGroup:
         """Hypothesis of a heavy tail: a fraction of the readings of some observables has more noise than declared."""
         pointing, kind = np.nonzero(space.used_readings)
-        column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
+        column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
-        rows = pointing[places] * len(acts) + column[places]
+        rows = pointing[places] * len(observables) + column[places]
         names, _ = noise_groups(space.sightings, "reading")
-        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.n_rows))
-        effect = VarianceFunction(acts, group_kind="reading", group_names=names, per_observable=True)
+        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(observables), space.n_rows))
+        effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, members, TAIL_VARIANCE_FACTORS)
 
     @property

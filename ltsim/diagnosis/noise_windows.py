@@ -111,8 +111,8 @@ class NoiseWindows(GroupNoise):
             scale = quiet + noisy
             total += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
-        flat = total.reshape(-1, total.shape[-1])
-        return log_sum_exp(flat) - np.log(len(flat) * self.n_places)
+        flattened = total.reshape(-1, total.shape[-1])
+        return log_sum_exp(flattened) - np.log(len(flattened) * self.n_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
         """Relative added variance (g,), averaged over all sequences of the states by forward and backward recursion."""
@@ -195,11 +195,11 @@ def _most_probable_states(ratios: Floats, change: float) -> tuple[int, Bools]:
         stays.append(same >= changed)
         score = np.maximum(same, changed)
         score[:, 1] += ratio
-    best = int(np.argmax(score.max(axis=1)))
-    state, states = int(np.argmax(score[best])), np.zeros(len(ratios), dtype=bool)
+    best_index = int(np.argmax(score.max(axis=1)))
+    state, states = int(np.argmax(score[best_index])), np.zeros(len(ratios), dtype=bool)
     for i in reversed(range(len(ratios))):
         states[i] = bool(state)
-        state = state if stays[i][best, state] else 1 - state
+        state = state if stays[i][best_index, state] else 1 - state
     if not states.any():
-        states[int(np.argmax(ratios[:, best]))] = True
-    return best, states
+        states[int(np.argmax(ratios[:, best_index]))] = True
+    return best_index, states

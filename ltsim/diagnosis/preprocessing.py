@@ -7,8 +7,14 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
-from ltsim.adjustment.identification.selection import MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
+    Hypothesis,
+    NoiseFactor,
+    ReadingShiftChange,
+)
+from ltsim.adjustment.identification.tests import reported_kind
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
@@ -39,13 +45,9 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
         selection.fit,
         [c.hypothesis for c in selection.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN],
     )
-    shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange)]
+    shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(fit.displacement(h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts)
-    return [
-        h
-        for h in chosen
-        if not isinstance(h.model_change, NoiseFactor) and (gross or not isinstance(h.model_change, ReadingShiftChange))
-    ]
+    return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
 
 def is_single_error(fit: NetworkFit) -> Bools:
@@ -61,27 +63,27 @@ def is_single_error(fit: NetworkFit) -> Bools:
     return single | far
 
 
-def is_consistent_when_omitted(adjustment: Adjustment, omitted: Bools) -> Bools:
+def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
-    whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return omitted & (whitened < MAX_CONSISTENT_W)
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
 
 
 def adapted_baseline(
-    recording: Recording, construction: Construction, selection: CauseSelection, *, restored: Bools | None = None
+    recording: Recording, construction: Construction, selection: CauseSelection, *, is_restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment with the blunders of a selection in its model, usable readings (n, 3), and findings.
 
     The recording of the adjustment is corrected by the estimates; their uncertainty is included in the model.
-    `restored` (n, 3) marks readings that are no errors.
+    `is_restored` (n, 3) marks readings that are no errors.
     """
     fit, mistakes = selection.fit, corrected_mistakes(selection)
     errors = is_single_error(fit)
-    if restored is not None:
-        errors &= ~restored
+    if is_restored is not None:
+        errors &= ~is_restored
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracted_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
-    places = {(h.kind, h.stations, h.targets) for h in mistakes}
+    places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}
     tests = [
         test
         for test in cause_tests(selection)
@@ -90,7 +92,9 @@ def adapted_baseline(
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust(moved, construction, effects=baseline.effects, reading_mask=~errors, start=baseline.state)
+        baseline = adjust(
+            moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
+        )
     axes = [test for test in baseline.axis_tests if test.is_excluded]
     return (
         baseline,

@@ -69,9 +69,9 @@ second effect.
 """
 
 
-def log_prior_share(kind: str, among: int) -> float:
-    """Log prior of each of `among` explanations of a kind of `CAUSE_PRIOR`."""
-    return float(np.log(CAUSE_PRIOR[kind] / max(among, 1)))
+def log_prior_share(kind: str, n_explanations: int) -> float:
+    """Log prior of each of `n_explanations` explanations of a kind of `CAUSE_PRIOR`."""
+    return float(np.log(CAUSE_PRIOR[kind] / max(n_explanations, 1)))
 
 
 def prior_rows() -> Iterator[tuple[str, float]]:

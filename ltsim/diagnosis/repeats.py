@@ -27,9 +27,9 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
     return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 
-def redundancy_of_means(means: sp.csr_array, share: Floats) -> Floats:
+def redundancy_of_means(means: sp.csr_array, redundancy: Floats) -> Floats:
     """Redundancy (g,) of means: the adjustment absorbs an error common to repeats by the sum of their leverages."""
-    lost = (means > 0).astype(np.float64) @ (1.0 - share)
+    lost = (means > 0).astype(np.float64) @ (1.0 - redundancy)
     return np.maximum(1.0 - lost, MIN_MEAN_REDUNDANCY)
 
 

@@ -198,10 +198,10 @@ class DetectableEntry(Entry):
     """Unit of the size."""
 
     @classmethod
-    def from_minimal_size(cls, minimal: MinimalSize) -> Self:
+    def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
-        size = minimal.median_size / SI_PER_UNIT[minimal.unit]
-        return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
+        size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
+        return cls(effect=minimal_size.effect, parameter=minimal_size.parameter, size=size, unit=minimal_size.unit)
 
 
 class InstrumentEntry(Entry):

@@ -27,6 +27,6 @@ def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] 
     )
 
 
-def confined_scope(**confined: tuple[str, ...]) -> FindingScope:
+def confined_scope(**confined_kinds: tuple[str, ...]) -> FindingScope:
     """Scope confined to the given kinds, the others empty."""
-    return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | confined)
+    return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | confined_kinds)

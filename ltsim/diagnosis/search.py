@@ -97,12 +97,12 @@ class Searcher:
         n_trials: int = 0,
         *,
         catalogue_signatures: CatalogueSignatures | None = None,
-        ordinary: bool = True,
+        with_constants: bool = True,
     ) -> None:
         """Search with `n_trials` simulated recordings.
 
-        `catalogue_signatures` are those of another search on the same readings. Constants of the `ordinary` calibration
-        are hypotheses unless a history replaces their prior.
+        `catalogue_signatures` are those of another search on the same readings. With `with_constants` the constants
+        of the ordinary calibration are hypotheses.
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
@@ -112,10 +112,10 @@ class Searcher:
         if catalogue_signatures is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
             catalogue_signatures = CatalogueSignatures.from_space(
-                space, [effect for effect in every if ordinary or type(effect) not in ORDINARY_CALIBRATION_TYPES]
+                space, [effect for effect in every if with_constants or type(effect) not in ORDINARY_CALIBRATION_TYPES]
             )
         self.catalogue_signatures = catalogue_signatures
-        self.law_batches: list[LawBatch] = law_batches(space, ordinary=ordinary)
+        self.law_batches: list[LawBatch] = law_batches(space, with_constants=with_constants)
         self.empty_model = Model((), (), (), space.residuals)
         self._rankings: dict[frozenset[str], Ranking] = {}
         self._projected_signatures: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
@@ -279,7 +279,7 @@ class Searcher:
         return entries
 
     def estimates(
-        self, hypothesis: Hypothesis, other_effects: Model, refitted: Sequence[ParameterEstimate]
+        self, hypothesis: Hypothesis, other_effects: Model, refits: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of a refit; posterior means and deviations over all shapes where these are much wider."""
         effect = hypothesis.effect
@@ -289,9 +289,9 @@ class Searcher:
                 *(ParameterEstimate(**size._asdict()) for size in sizes),
                 *centre_estimates(self.evidence_calculator, effect, other_effects),
             )
-        marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refitted)
-        wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refitted if e.name in marginal)
-        rows = [marginal.get(e.name, e) if wider else e for e in refitted]
+        marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refits)
+        wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refits if e.name in marginal)
+        rows = [marginal.get(e.name, e) if wider else e for e in refits]
         if "time" in marginal and all(e.name != "time" for e in rows):
             rows.append(marginal["time"])
         return (*rows, *centre_estimates(self.evidence_calculator, effect, other_effects))
@@ -348,22 +348,22 @@ class Searcher:
         return self._forward_selection(self.empty_model, threshold, requires_member=True, rival=rival)
 
     def _forward_selection(
-        self, best: Model, threshold: float, *, requires_member: bool, rival: float | None = None
+        self, model: Model, threshold: float, *, requires_member: bool, rival: float | None = None
     ) -> Model:
         """Forward selection; earlier members are tested again after each step unless there is a `rival`."""
         again = rival is None
-        for depth in range(len(best.members), MAX_MODEL_MEMBERS):
-            ranking, least = self.ranking(best), threshold + best.discrepancy_penalty
+        for depth in range(len(model.members), MAX_MODEL_MEMBERS):
+            ranking, least = self.ranking(model), threshold + model.discrepancy_penalty
             if ranking.log_evidence_total < least and (depth or not requires_member):
                 break
-            grown = _best_model([self.model_of((*best.members, h)) for h in ranking.entries[:3]])
+            grown = _best_model([self.model_of((*model.members, h)) for h in ranking.entries[:3]])
             grown = self.reexamined_model(grown) if again and not self.is_large_network else grown
-            if depth and grown.score < best.score + threshold:
+            if depth and grown.score < model.score + threshold:
                 break
-            gain, best = grown.score - best.score, grown
-            if rival is not None and not best.score < rival < best.score + gain * (MAX_MODEL_MEMBERS - 1 - depth):
+            gain, model = grown.score - model.score, grown
+            if rival is not None and not model.score < rival < model.score + gain * (MAX_MODEL_MEMBERS - 1 - depth):
                 break
-        return self.reexamined_model(best) if again and self.is_large_network else best
+        return self.reexamined_model(model) if again and self.is_large_network else model
 
     def _relabelled_model(self, model: Model, threshold: float) -> Model:
         """Model without members that the others explain, each renamed to the most probable effect given the others."""

@@ -16,9 +16,11 @@ from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
+from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, with_centring
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.signature import CandidateEffect, Signature
+from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
@@ -57,11 +59,20 @@ class SelectionState:
         """Search in the residual space; scores are computed on first use."""
         if self._searcher is None:
             before = self._ranked_noise
-            cards = None if before is None else before.catalogue_signatures.with_weights_of(before.space, self.space)
+            is_reusable = before is not None and before.space.n_rows == self.space.n_rows
+            cards = (
+                None
+                if before is None or not is_reusable
+                else before.catalogue_signatures.with_weights_of(before.space, self.space)
+            )
             trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
             self._ranked_noise = None
             self._searcher = Searcher(
-                self.space, self.seed, trials, catalogue_signatures=cards, ordinary=self.tests_ordinary_constants
+                self.space,
+                self.seed,
+                trials,
+                catalogue_signatures=cards,
+                with_constants=self.tests_ordinary_constants,
             )
         return self._searcher
 
@@ -72,8 +83,8 @@ class SelectionState:
 
     @property
     def recording(self) -> Recording:
-        """Recording with corrected blunders."""
-        return self.baseline.recording
+        """Recording with corrected blunders, which declares the centring errors among the changes of the noise."""
+        return with_centring(self.baseline.recording, self.noise)
 
     def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
         """Nonlinear refit with effects; without effects the ordinary adjustment.
@@ -94,11 +105,11 @@ class SelectionState:
             prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[Signature] = (), start: NetworkState | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[Signature] = (), start_state: NetworkState | None = None) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
-            return adjusted(effects=(*effects, *old.effects), start=start)
+            return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
-        return refit_with_effects(with_causes if old.effects else adjusted, effects, start=old.state)
+        return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def release_priors(self, constants: Sequence[ConstantContradiction]) -> None:
         """Widening of the prior of contradicting constants, with a new adjustment."""
@@ -109,12 +120,12 @@ class SelectionState:
             freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
         prior = old.problem.prior.with_free_parameters(freed)
         self.baseline = adjust(
-            self.recording,
+            old.recording,
             old.construction,
             effects=old.effects,
-            sigma=self.recording.sigma(),
+            sigma=old.recording.sigma(),
             reading_mask=self.is_used,
-            start=old.state,
+            start_state=old.state,
             prior=prior,
         )
         self.set_adjustment(self.refit((), self.reading_sigmas).adjustment)
@@ -131,17 +142,20 @@ class SelectionState:
     def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        return self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
+        ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
+        for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):
+            ranked.append((gain + self.noise_bank.log_prior_of_family(hypothesis.family), hypothesis))
+        return sorted(ranked, key=lambda entry: -entry[0])
 
-    def add_noise(self, further: NoiseHypothesis) -> None:
+    def add_noise(self, new_hypothesis: NoiseHypothesis) -> None:
         """Addition of a change of the noise; one of the same kind at the same place is increased."""
         for i, change in enumerate(self.noise):
-            if change.effect == further.effect:
-                values = tuple(a + b for a, b in zip(change.sizes, further.sizes, strict=True))
-                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + further.chi2_drop)
+            if change.effect == new_hypothesis.effect:
+                values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
+                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop)
                 break
         else:
-            self.noise.append(further)
+            self.noise.append(new_hypothesis)
         self.reading_sigmas = self._weighted_sigmas(self.noise)
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
@@ -160,7 +174,7 @@ class SelectionState:
         Each change of the noise is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
-        for change in self.noise:
+        for change in (n for n in self.noise if not isinstance(n.effect, CentringVariance)):
             others = self._weighted_sigmas([n for n in self.noise if n is not change])
             space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
             factors *= self._noise_bank(space).expected_factors()
@@ -170,7 +184,7 @@ class SelectionState:
         """Noise hypotheses on a residual space."""
         quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
         return NoiseBank.from_space(
-            space, noise_hypotheses(space.sightings, self.recording.instruments), quieter=quieter
+            space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )
 
     def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:

@@ -20,38 +20,38 @@ UNBOUNDED_STEP_FACTOR = 20.0
 """Factor on the step that represents no bound."""
 
 
-def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, count: int) -> tuple[Floats, Floats]:
+def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
     """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
     def evenly_spaced(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
     low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
-    grid = np.geomspace(low, high, count) if shape.has_logarithmic_grid else np.linspace(low, high, count)
+    grid = np.geomspace(low, high, n_nodes) if shape.has_logarithmic_grid else np.linspace(low, high, n_nodes)
     if shape.has_reciprocal_grid:
-        grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
+        grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, n_nodes)
     near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
     values = np.unique(np.concatenate([grid, near, [estimate]]))
     edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def interpolate_shape(shape: ShapeParameter, low: float, high: float, position: float) -> float:
-    """Value of a shape constant at u, from -1 at `low` to 1 at `high`, uniform in the coordinate of its grid."""
+def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
+    """Value of a shape constant at u, from -1 at `lower` to 1 at `upper`, uniform in the coordinate of its grid."""
     s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
-        return float(low * (high / low) ** s)
-    if shape.has_reciprocal_grid and low > 0:
-        return float(1.0 / ((1 - s) / low + s / high))
-    return float(low + s * (high - low))
+        return float(lower * (upper / lower) ** s)
+    if shape.has_reciprocal_grid and lower > 0:
+        return float(1.0 / ((1 - s) / lower + s / upper))
+    return float(lower + s * (upper - lower))
 
 
-def are_distinct(effect: CandidateEffect, other: CandidateEffect) -> bool:
+def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
     """True if two effects differ in place, or in a shape constant by more than the integration covers."""
-    if (effect.stations, effect.targets) != (other.stations, other.targets):
+    if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
-        low, high = shape.neighbouring_grid_interval(float(vars(other)[shape.name]))
+        low, high = shape.neighbouring_grid_interval(float(vars(other_effect)[shape.name]))
         if not low <= float(vars(effect)[shape.name]) <= high:
             return True
     return False
@@ -85,12 +85,12 @@ def shape_nodes(
     base_model: Model,
     spread: Mapping[str, float],
     *,
-    plausible: bool = False,
+    within_plausible: bool = False,
 ) -> list[ShapeNode]:
     """Grid nodes of an effect over all its shapes and neighbouring places; empty without either.
 
     Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). Weights use a wide prior
-    of the size or, if `plausible`, the prior of sizes.
+    of the size or, if `within_plausible`, the prior of sizes.
     """
     shapes = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
@@ -110,7 +110,7 @@ def shape_nodes(
     posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
     weighed = (
         calculator.log_evidence(shaped, base_model).tolist()
-        if plausible
+        if within_plausible
         else [evidence for _, _, evidence in posteriors]
     )
     nodes = []

@@ -69,15 +69,15 @@ sixth of the time of a scoring.
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
 
 
-def law_batches(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
+def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[LawBatch]:
     """Batches of laws of a recording; their priors add up to that of laws outside the catalogue.
 
-    Constants of the instruments are included if `ordinary`; a history is compared separately. A constant displacement
-    of a target is not included, because its coordinates are estimated.
+    Constants of the instruments are included if `with_constants`; a history is compared separately. A constant
+    displacement of a target is not included, because its coordinates are estimated.
     """
     made = _LawBatchBuilder(space)
     for place, where, drivers in _kinds_of_places(space):
-        held = () if ordinary or place not in ("everywhere", "instrument") else ("instrument", "circle")
+        held = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
         made.register(place, where, drivers, ("target", *held))
     return made.law_batches()
 

@@ -30,7 +30,7 @@ MIN_TARGET_SWITCH_EDGES = 3
 MAX_TOGGLED_INTERVALS = 10
 """Largest number of intervals whose state is toggled."""
 N_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of additional intervals that are toggled after the evidence has last increased."""
+"""Number of further intervals that a search switches on or off after the evidence has last increased."""
 
 MIN_SWITCHED_MEAN_SQUARE = 1e-3
 """Smallest mean square of a switched regressor, relative to that without the switch: about one pointing in a

@@ -164,9 +164,9 @@ def diagnosis_summary(
     misfit_before: Misfit,
     misfit_after: Misfit,
     *,
-    withheld: int = 0,
+    n_withheld: int = 0,
 ) -> str:
-    """Summary of a diagnosis in a few sentences; `withheld` is the number of members that are not reported."""
+    """Summary of a diagnosis in a few sentences; `n_withheld` is the number of members that are not reported."""
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "
@@ -179,13 +179,17 @@ def diagnosis_summary(
             f"chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom."
         )
     first = findings[0]
-    more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
+    suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = [effect_text(e.effect) for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    further = "1 further effect is" if withheld == 1 else f"{withheld} further effects are"
-    rest = f" {further} in the model but not reported (small or uncertain)." if withheld else ""
+    further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"
+    rest = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""
     return (
-        first.sentence + open_ + more + rest + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
+        first.sentence
+        + open_
+        + suffix
+        + rest
+        + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
     )
 
 

@@ -24,16 +24,16 @@ MAX_TRIPLES = 30
 points are outliers, and with 99.999 % if a third are."""
 
 
-def align_rigidly(points: Floats, goals: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
+def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) of the least-squares alignment ``goal ~ source @ rotation.T + translation``.
 
     See `align_with_scale`.
     """
-    return align_with_scale(points, goals, weights)[:2]
+    return align_with_scale(points, goal_points, weights)[:2]
 
 
 def align_with_scale(
-    points: Floats, goals: Floats, weights: Floats | None = None, *, with_scale: bool = False
+    points: Floats, goal_points: Floats, weights: Floats | None = None, *, with_scale: bool = False
 ) -> tuple[Floats, Floats, Floats]:
     """Rotation (..., 3, 3), shift (..., 3) and scale (...) of the least-squares alignment of points.
 
@@ -43,7 +43,7 @@ def align_with_scale(
     ----------
     points : (..., n, 3) float, [m]
         n >= 3, not on one line.
-    goals : (..., n, 3) float, [m]
+    goal_points : (..., n, 3) float, [m]
         The corresponding points.
     weights : (n,) float, optional
         Non-negative weights.
@@ -63,20 +63,20 @@ def align_with_scale(
     weight = np.ones(points.shape[-2]) if weights is None else weights
     if np.count_nonzero(weight) < 3:
         raise NetworkError("an alignment needs at least three common points")
-    rotation, shift, scale, is_held = _weighted_alignment(points, goals, weight, with_scale=with_scale)
+    rotation, shift, scale, is_held = _weighted_alignment(points, goal_points, weight, with_scale=with_scale)
     if not is_held.all():
         raise NetworkError("an alignment needs three common points that are not on one line")
     return rotation, shift, scale
 
 
 def _weighted_alignment(
-    points: Floats, goals: Floats, weight: Floats, *, with_scale: bool = False
+    points: Floats, goal_points: Floats, weight: Floats, *, with_scale: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
     """Rotation, shift and scale as of `align_with_scale`, and flags (...) of determined rotations."""
     weight = weight / weight.sum()
-    centre, middle = weight @ points, weight @ goals
+    centre, middle = weight @ points, weight @ goal_points
     arms = points - centre[..., None, :]
-    moment = np.swapaxes(weight[:, None] * (goals - middle[..., None, :]), -1, -2) @ arms
+    moment = np.swapaxes(weight[:, None] * (goal_points - middle[..., None, :]), -1, -2) @ arms
     u, spread, vt = np.linalg.svd(moment)
     flip = np.ones_like(spread)
     flip[..., 2] = np.sign(np.linalg.det(u @ vt))
@@ -88,7 +88,7 @@ def _weighted_alignment(
     return rotation, shift, scale, np.asarray(spread[..., 1] > 1e-9 * spread[..., 0])
 
 
-def align_robustly(points: Floats, goals: Floats) -> tuple[Floats, Floats]:
+def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rigid alignment (3, 3), (3,) by least absolute deviations, so that a few outlying points do not affect it.
 
     The sum of the distances has several minima where one of them is large, and for four points its least value may
@@ -97,42 +97,42 @@ def align_robustly(points: Floats, goals: Floats) -> tuple[Floats, Floats]:
 
     Raises NetworkError under the conditions of `align_with_scale`.
     """
-    best = align_rigidly(points, goals)
+    best = align_rigidly(points, goal_points)
     if len(points) < 4:
         return best
-    miss = _residual_distances(points, goals, best)
+    miss = _residual_distances(points, goal_points, best)
     if miss.mean() > MAX_SOUND_MISFIT_M:
         triples = _point_triples(len(points))
-        rotation, shift, _, is_held = _weighted_alignment(points[triples], goals[triples], np.ones(3))
-        sizes = _sum_of_log_distances(_residual_distances(points, goals, (rotation, shift)))
+        rotation, shift, _, is_held = _weighted_alignment(points[triples], goal_points[triples], np.ones(3))
+        sizes = _sum_of_log_distances(_residual_distances(points, goal_points, (rotation, shift)))
         sizes[~is_held] = np.inf
         k = int(np.argmin(sizes))
         best = (rotation[k], shift[k]) if sizes[k] < _sum_of_log_distances(miss) else best
     for _ in range(MAX_ROBUST_PASSES):
-        miss = _residual_distances(points, goals, best)
+        miss = _residual_distances(points, goal_points, best)
         floor = max(1e-5, 0.5 * median(miss))
-        best = align_rigidly(points, goals, 1.0 / np.maximum(miss, floor))
+        best = align_rigidly(points, goal_points, 1.0 / np.maximum(miss, floor))
         if miss.max() < MAX_NOISE_DISTANCE_RATIO * floor:
             break
     return best
 
 
-def largest_residual(points: Floats, goals: Floats) -> float:
+def largest_residual(points: Floats, goal_points: Floats) -> float:
     """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment.
 
     Raises NetworkError as `align_with_scale`.
     """
-    return float(_residual_distances(points, goals, align_rigidly(points, goals)).max())
+    return float(_residual_distances(points, goal_points, align_rigidly(points, goal_points)).max())
 
 
-def _residual_distances(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
+def _residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple[Floats, Floats]) -> Floats:
     """Distances (..., n) [m] of moved points from their goals.
 
     The motions are rotations (..., 3, 3) and shifts (..., 3).
     """
-    rotation, shift = motion
-    moved = source @ np.swapaxes(rotation, -1, -2) + shift[..., None, :]
-    return np.asarray(np.linalg.norm(moved - goal, axis=-1))
+    rotation, shift = rigid_motion
+    moved = points @ np.swapaxes(rotation, -1, -2) + shift[..., None, :]
+    return np.asarray(np.linalg.norm(moved - goal_points, axis=-1))
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:

@@ -28,17 +28,17 @@ class ThermalExpansion:
     @classmethod
     def from_temperature(
         cls,
-        coefficient: float,
+        coefficient_per_k: float,
         temperature_difference: float,
         sigma_coefficient: float | None = None,
         sigma_temperature: float | None = None,
     ) -> ThermalExpansion:
-        """Expansion of a body that is warmer [K] than its reference temperature; `coefficient` [1/K].
+        """Expansion of a body that is warmer [K] than its reference temperature; `coefficient_per_k` [1/K].
 
         Without a sigma it is exact.
         """
         return cls(
-            1.0 + coefficient * temperature_difference,
+            1.0 + coefficient_per_k * temperature_difference,
             temperature_difference * (sigma_coefficient or 0.0),
-            coefficient * (sigma_temperature or 0.0),
+            coefficient_per_k * (sigma_temperature or 0.0),
         )

@@ -31,12 +31,12 @@ def from_polar(readings: Floats) -> Floats:
     return stack_columns(horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation))
 
 
-def to_face(polar: Floats, face: Ints) -> Floats:
+def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
     """Raw readings (n, 3) on `face` (1 or 2) of front-face values (n, 3); its own inverse."""
-    raw = polar.copy()
-    back = face == 2
-    raw[back, 1] = wrap_angle(polar[back, 1] + np.pi)
-    raw[back, 2] = np.pi - polar[back, 2]
+    raw = polar_coordinates.copy()
+    is_back_face = face == 2
+    raw[is_back_face, 1] = wrap_angle(polar_coordinates[is_back_face, 1] + np.pi)
+    raw[is_back_face, 2] = np.pi - polar_coordinates[is_back_face, 2]
     return raw
 
 
@@ -57,12 +57,12 @@ def parts_across_beam(vectors: Floats, points: Floats) -> Floats:
     return stack_columns(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
-def polar_jacobian(polar: Floats, face: Ints) -> Floats:
-    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face values `polar`.
+def polar_jacobian(polar_coordinates: Floats, face: Ints) -> Floats:
+    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face readings.
 
     On face 2 the raw elevation runs backwards (180 deg minus), hence the sign of its row.
     """
-    range_, azimuth, elevation = polar.T
+    range_, azimuth, elevation = polar_coordinates.T
     beam, across, up = unit_vectors(azimuth, elevation)
     sign = np.where(face == 2, -1.0, 1.0)
     across = across / (range_ * np.cos(elevation))[:, None]

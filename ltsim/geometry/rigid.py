@@ -28,21 +28,25 @@ def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floa
     return displacement - basis @ (basis.T @ displacement)
 
 
-def pose_design(target_derivatives: Floats, sight_vectors: Floats) -> Floats:
+def pose_design(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
     """Derivative (n, 3, 6) of readings with respect to translation and rotation of their station, network frame.
 
     Parameters
     ----------
-    target_derivatives : (n, 3, 3) float
+    point_derivatives : (n, 3, 3) float
         Derivative of the readings with respect to the target's coordinates.
     sight_vectors : (n, 3) float, [m]
         Vectors from the station to the targets.
     """
-    return np.concatenate([-target_derivatives, target_derivatives @ cross_matrix(sight_vectors)], axis=2)
+    return np.concatenate([-point_derivatives, point_derivatives @ cross_matrix(sight_vectors)], axis=2)
 
 
 def determines_pose(
-    points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = MAX_COLLINEAR_RATIO
+    points: Floats,
+    is_sighted: Bools,
+    plumb_direction: Floats | None = None,
+    *,
+    min_relative_width: float = MAX_COLLINEAR_RATIO,
 ) -> Bools:
     """Flags (...): the geometry of the targets that a station measures determines its pose (six parameters).
 
@@ -51,21 +55,21 @@ def determines_pose(
     Parameters
     ----------
     points : (T, 3) float, [m]
-    sighted : (..., T) bool
+    is_sighted : (..., T) bool
         Targets that each station measures with range and both angles.
-    vertical : (..., 3) float, optional
+    plumb_direction : (..., 3) float, optional
         Unit vector of the plumb line that a level defines at each station, NaN without a level.
-    flat : float
+    min_relative_width : float
         Distance from a line, as a fraction of their extent, up to which targets count as collinear.
     """
-    count = np.maximum(sighted.sum(axis=-1), 1)
-    centre = (sighted @ points) / count[..., None]
-    arms = (points - centre[..., None, :]) * sighted[..., None]
+    count = np.maximum(is_sighted.sum(axis=-1), 1)
+    centre = (is_sighted @ points) / count[..., None]
+    arms = (points - centre[..., None, :]) * is_sighted[..., None]
     scatter = np.swapaxes(arms, -1, -2) @ arms
     spread = np.linalg.eigvalsh(scatter)
-    held: Bools = spread[..., 1] > flat**2 * spread[..., 2]
-    if vertical is not None:
+    held: Bools = spread[..., 1] > min_relative_width**2 * spread[..., 2]
+    if plumb_direction is not None:
         extent = spread.sum(axis=-1)
-        across = extent - np.einsum("...i,...ij,...j->...", vertical, scatter, vertical)
-        held |= across > flat**2 * extent
+        across = extent - np.einsum("...i,...ij,...j->...", plumb_direction, scatter, plumb_direction)
+        held |= across > min_relative_width**2 * extent
     return held

@@ -42,12 +42,12 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
     return Rotation.from_matrix(matrix).as_quat()
 
 
-def smallest_rotation(axis: Floats, goal_axis: Floats) -> Floats:
+def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
     """Smallest rotation (3, 3) that turns one unit vector into another."""
-    across, cosine = np.cross(axis, goal_axis), float(axis @ goal_axis)
+    across, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
     sine = float(np.linalg.norm(across))
     if sine < 1e-12 and cosine > 0:
         return np.eye(3)
     if sine < 1e-12:
-        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
     return from_rotation_vector(across / np.linalg.norm(across) * np.arctan2(sine, cosine))

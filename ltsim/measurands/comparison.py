@@ -163,8 +163,10 @@ class EpochDifference:
         """Chi-square of one point's separate difference; None in a free frame."""
         if self.free_motions.shape[1]:
             return None
-        at = coordinate_rows([point], len(self.compared_axes))
-        return float(self.differences[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.differences[at]))
+        rows = coordinate_rows([point], len(self.compared_axes))
+        return float(
+            self.differences[rows] @ np.linalg.solve(self.covariance[np.ix_(rows, rows)], self.differences[rows])
+        )
 
     @cached_property
     def _whitening_root(self) -> Floats:
@@ -175,7 +177,7 @@ class EpochDifference:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design of the free motions and of unit displacements of the `moved_points` points."""
+        """Whitened design of the free motions and of unit displacements of the `other_moved_points` points."""
         columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
         return self._whitening_root @ np.hstack([self.free_motions, columns])
 
@@ -186,7 +188,7 @@ class EpochDifference:
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Estimates of free motions and displacements of `moved_points` points, and their covariance."""
+        """Estimates of free motions and displacements of `other_moved_points` points, and their covariance."""
         design = self._whitened_design(moved_points)
         size = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / size) / size[:, None]
@@ -194,13 +196,16 @@ class EpochDifference:
 
 
 def congruence_test(
-    difference: EpochDifference, stable_mask: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
+    difference: EpochDifference,
+    stable_mask: Bools,
+    alpha: float,
+    epoch_sources: tuple[SourceEntry, SourceEntry],
 ) -> Comparison:
     """Result of the congruence test, in which the points that are not `stable_mask` as stable are tested."""
     tested = np.flatnonzero(~stable_mask)
-    moved = _find_moved_points(difference, tested, level)
+    moved = _find_moved_points(difference, tested, alpha)
     displacements = tuple(
-        _displacement_of_point(difference, i, moved, len(tested), level) for i in range(difference.n_points)
+        _displacement_of_point(difference, i, moved, len(tested), alpha) for i in range(difference.n_points)
     )
     statistic, dof, remaining = (
         difference.sum_of_squares(),
@@ -213,10 +218,10 @@ def congruence_test(
         else None
     )
     return Comparison(
-        recording=sources[0],
-        second=sources[1],
+        recording=epoch_sources[0],
+        second=epoch_sources[1],
         sentence=_result_sentence(displacements),
-        level=level,
+        level=alpha,
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
@@ -228,38 +233,38 @@ def congruence_test(
     )
 
 
-def _find_moved_points(difference: EpochDifference, tested_mask: Ints, level: float) -> list[int]:
+def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
     """Indices of the points that moved. Significant points are added one by one.
 
     After each addition all are tested again given the others.
     """
-    moved: list[int] = []
-    limit = special.chdtri(len(difference.compared_axes), level / max(len(tested_mask), 1))
-    most = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
-    while len(moved) < min(len(tested_mask), most):
-        now = difference.sum_of_squares(moved)
-        rest = [p for p in tested_mask if p not in moved]
-        drops = [now - difference.sum_of_squares([*moved, p]) for p in rest]
+    moved_points: list[int] = []
+    limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
+    max_moved = max(0, difference.n_points - (len(difference.compared_axes) if difference.free_motions.shape[1] else 0))
+    while len(moved_points) < min(len(tested_indices), max_moved):
+        now = difference.sum_of_squares(moved_points)
+        rest = [p for p in tested_indices if p not in moved_points]
+        drops = [now - difference.sum_of_squares([*moved_points, p]) for p in rest]
         best = int(np.argmax(drops))
         if drops[best] < limit:
             break
-        moved.append(int(rest[best]))
-    for point in list(moved):
-        others = [p for p in moved if p != point]
-        if difference.sum_of_squares(others) - difference.sum_of_squares(moved) < limit:
-            moved = others
-    return moved
+        moved_points.append(int(rest[best]))
+    for point in list(moved_points):
+        others = [p for p in moved_points if p != point]
+        if difference.sum_of_squares(others) - difference.sum_of_squares(moved_points) < limit:
+            moved_points = others
+    return moved_points
 
 
 def _displacement_of_point(
-    difference: EpochDifference, point: int, moved_points: list[int], n_tested: int, level: float
+    difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
 ) -> Displacement:
     """Displacement of a point in the frame of the stable points, and its test given the other displacements."""
     count, a = max(n_tested, 1), len(difference.compared_axes)
-    others = [p for p in moved_points if p != point]
+    others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])
     drop = difference.sum_of_squares(others) - difference.sum_of_squares([*others, point])
-    needed = noncentrality(a, level=level / count)
+    needed = noncentrality(a, alpha=alpha / count)
     visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
     shift, covariance = np.zeros(3), np.zeros((3, 3))
     shift[difference.compared_axes], covariance[np.ix_(difference.compared_axes, difference.compared_axes)] = (
@@ -270,7 +275,7 @@ def _displacement_of_point(
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
         target=difference.point_names[point],
-        moved=point in moved_points,
+        moved=point in other_moved_points,
         place_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
         shift_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),

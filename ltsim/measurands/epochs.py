@@ -50,33 +50,35 @@ def compare_adjustments(
     first: Adjustment,
     second: Adjustment,
     *,
-    stable: Sequence[str] | None = None,
-    scaled: bool = False,
+    stable_names: Sequence[str] | None = None,
+    with_scale: bool = False,
     same_instrument: bool = False,
-    level: float = 0.05,
+    alpha: float = 0.05,
 ) -> Comparison:
     """Comparison of two converged adjustments by their common points, each in its own frame.
 
     Options and errors as `lt.compare`.
     """
-    lost = {*first.undetermined_targets, *second.undetermined_targets}
-    common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    stable_points = _stable_point_mask("recordings", common, stable, n_held=3)
-    at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    given = _common_observations(first, second, same_instrument)
-    before, after = (_Epoch.from_adjustment(a, i, given) for a, i in zip((first, second), at, strict=True))
-    sources = SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording)
-    return _compare_epochs(before, after, scaled, stable_points, stable_points & (stable is not None), level, sources)
+    undetermined = {*first.undetermined_targets, *second.undetermined_targets}
+    common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
+    stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
+    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
+    common_groups = _common_observations(first, second, same_instrument)
+    before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
+    sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
+    return _compare_epochs(
+        before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
+    )
 
 
 def compare_coordinates(
     first: EpochCoordinates,
     second: EpochCoordinates,
     *,
-    stable: Sequence[str] | None = None,
-    free: bool = False,
-    scaled: bool = False,
-    level: float = 0.05,
+    stable_names: Sequence[str] | None = None,
+    has_free_motions: bool = False,
+    with_scale: bool = False,
+    alpha: float = 0.05,
 ) -> Comparison:
     """Comparison of two lists of coordinates in one frame, or in `free_motions` ones.
 
@@ -87,22 +89,28 @@ def compare_coordinates(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
     second, renamed = _with_names_of(second, first.names)
-    common = [name for name in first.names if name in second.names]
-    open_ = [np.eye(6) if free else free_motions_of_epoch(epoch) for epoch in (first, second)]
-    is_open = scaled or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask("lists", common, stable, n_held=len(first.axes) if is_open else 0)
+    common_names = [name for name in first.names if name in second.names]
+    open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
+    is_open = with_scale or any(motions.shape[1] for motions in open_)
+    stable_points = _stable_point_mask("lists", common_names, stable_names, n_held=len(first.axes) if is_open else 0)
     before, after = (
-        _Epoch.from_coordinates(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
+        _Epoch.from_coordinates(epoch, common_names, motions)
+        for epoch, motions in zip((first, second), open_, strict=True)
     )
-    count = 0 if free else max(motions.shape[1] for motions in open_)
+    count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
     notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
     sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
-    held = stable_points & (stable is not None)
-    result = _compare_epochs(before, after, scaled, stable_points, held, level, sources, first.axis_indices, notes)
-    if is_open or len(first.axes) < len(ALL_AXES) or len(common) <= len(ALL_AXES):
+    stable_mask = stable_points & (stable_names is not None)
+    result = _compare_epochs(
+        before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
+    )
+    if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
     return _with_rigid_motion(
-        result, lambda: compare_coordinates(first, second, stable=stable, free=True, scaled=scaled, level=level)
+        result,
+        lambda: compare_coordinates(
+            first, second, stable_names=stable_names, has_free_motions=True, with_scale=with_scale, alpha=alpha
+        ),
     )
 
 
@@ -123,59 +131,66 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
-def _with_rigid_motion(result: Comparison, compare_freely: Callable[[], Comparison]) -> Comparison:
+def _with_rigid_motion(
+    fixed_frame_result: Comparison, compare_with_free_motions: Callable[[], Comparison]
+) -> Comparison:
     """Comparison of lists in one frame, with a note if one motion of all points explains that most of them moved.
 
-    `compare_freely` compares the lists in frames of their own.
+    `compare_with_free_motions` compares the lists in frames of their own.
     """
-    count = len(result.displacements)
-    if 2 * len(result.moved_points) <= count:
-        return result
-    free = compare_freely()
+    count = len(fixed_frame_result.displacements)
+    if 2 * len(fixed_frame_result.moved_points) <= count:
+        return fixed_frame_result
+    free = compare_with_free_motions()
     if 2 * len(free.moved_points) > count:
-        return result
-    rest = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
+        return fixed_frame_result
+    suffix = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
-        f"{len(free.moved_points)} of {count} points moved{rest}"
+        f"{len(free.moved_points)} of {count} points moved{suffix}"
     )
-    return result.model_copy(update={"notes": (*result.notes, note), "is_rigid_motion": True})
+    return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
 
 
 def _compare_epochs(
     first: _Epoch,
     second: _Epoch,
-    scaled: bool,
-    stable: Bools,
-    held_points: Bools,
-    level: float,
-    sources: tuple[SourceEntry, SourceEntry],
-    axes: Ints = ALL_AXES,
+    with_scale: bool,
+    stable_mask: Bools,
+    declared_stable: Bools,
+    alpha: float,
+    epoch_sources: tuple[SourceEntry, SourceEntry],
+    compared_axes: Ints = ALL_AXES,
     notes: Sequence[str] = (),
 ) -> Comparison:
     """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
-    gap = _align_epochs(first, second, scaled, stable, axes)
-    result = congruence_test(gap, held_points, level, sources)
+    gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
+    result = congruence_test(gap, declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(first, second.with_order(order, len(axes)), scaled, stable, axes), held_points, level, sources
+            _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
+            declared_stable,
+            alpha,
+            epoch_sources,
         )
         notes = [*notes, exchanged_names_sentence(first.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
-def _stable_point_mask(kind: str, common_names: Sequence[str], stable: Sequence[str] | None, *, n_held: int) -> Bools:
+def _stable_point_mask(
+    point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_held: int
+) -> Bools:
     """Flags (T,) of the common points that may define the frame: all or the declared stable ones, at least `n_held`."""
-    for name in stable or ():
+    for name in stable_names or ():
         if name not in common_names:
             raise unknown_name("common point", name, common_names)
     if len(common_names) < n_held + 1:
         needed = f"at least {n_held + 1} are needed to see one of them move"
-        raise NetworkError(f"the {kind} share {len(common_names)} points; {needed}")
-    if stable is not None and len(stable) < n_held:
-        raise ModelError(f"{len(stable)} stable points do not define a frame; name at least {n_held}")
-    return np.array([stable is None or name in stable for name in common_names])
+        raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")
+    if stable_names is not None and len(stable_names) < n_held:
+        raise ModelError(f"{len(stable_names)} stable points do not define a frame; name at least {n_held}")
+    return np.array([stable_names is None or name in stable_names for name in common_names])
 
 
 @dataclass(frozen=True)
@@ -193,41 +208,41 @@ class _Epoch:
     free_motions: Floats
 
     @classmethod
-    def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, common_names: Sequence[str]) -> Self:
+    def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_row(adjustment, columns[0])
         groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
-        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common_names if name in groups)]
+        responses = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in target_names if name in groups)]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
         return cls(
             names,
             adjustment.state.target_points[target_indices],
             covariance,
-            np.hstack(given),
+            np.hstack(responses),
             adjustment.problem.free_motions,
         )
 
     @classmethod
-    def from_coordinates(cls, coordinates: EpochCoordinates, common_names: Sequence[str], free_motions: Floats) -> Self:
+    def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates with free motions `free_motions` (6, f)."""
-        at = np.array([coordinates.names.index(name) for name in common_names])
-        rows = coordinate_rows(at, len(coordinates.axes))
+        indices = np.array([coordinates.names.index(name) for name in point_names])
+        rows = coordinate_rows(indices, len(coordinates.axes))
         return cls(
-            common_names,
-            coordinates.points[at],
+            point_names,
+            coordinates.points[indices],
             coordinates.covariance[np.ix_(rows, rows)],
             np.zeros((len(rows), 0)),
             free_motions,
         )
 
-    def with_order(self, order: Ints, axes: int) -> Self:
+    def with_order(self, point_order: Ints, axes: int) -> Self:
         """Epoch in which point i has the position of point `order[i]`."""
-        rows = coordinate_rows(order, axes)
+        rows = coordinate_rows(point_order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
         return replace(
             self,
-            points=self.points[order],
+            points=self.points[point_order],
             covariance=covariance,
             common_observation_response=self.common_observation_response[rows],
         )
@@ -267,33 +282,36 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _align_epochs(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = ALL_AXES) -> EpochDifference:
-    """Differences of the second epoch, aligned to the first unless both frames are fixed, along `axes` (a,)."""
+def _align_epochs(
+    first: _Epoch, second: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
+) -> EpochDifference:
+    """Differences of the second epoch, aligned to the first unless both frames are fixed, along axes (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
-    middle = before[stable].mean(axis=0)
-    both = np.hstack([first.free_motions, second.free_motions])
-    free = scipy.linalg.orth(both) if both.shape[1] else both
+    centre = before[stable_mask].mean(axis=0)
+    stacked = np.hstack([first.free_motions, second.free_motions])
+    free = scipy.linalg.orth(stacked) if stacked.shape[1] else stacked
     if free.shape[1] and len(axes) > 1:
-        weights = stable.astype(np.float64)
+        weights = stable_mask.astype(np.float64)
         for _ in range(N_ALIGNMENT_ROUNDS):
             turn, shift = align_rigidly(second.points, before, weights)
             after = second.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
-            weights = stable / (off + np.median(off[stable]) + 1e-12)  # A point that moved must not turn the rest.
+            # A point that moved must not turn the rest.
+            weights = stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first.common_observation_response @ second.common_observation_response.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
-    motions = rigid_motion_design(before, middle)
-    motions = motions @ _motions_about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = rigid_motion_design(before, centre)
+    motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - middle).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - centre).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
-    if scaled:
-        motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
+    if with_scale:
+        motions = np.hstack([motions, (before - centre)[:, axes].reshape(-1, 1)])
     return EpochDifference(
-        first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled
+        first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
     )
 
 
@@ -326,9 +344,9 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     defect = int((values < MAX_RELATIVE_EIGENVALUE * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
-    middle = epoch.points.mean(axis=0)
+    centre = epoch.points.mean(axis=0)
     motions = (
-        rigid_motion_design(epoch.points, middle)
+        rigid_motion_design(epoch.points, centre)
         .reshape(len(epoch.points), 3, 6)[:, epoch.axis_indices]
         .reshape(len(scale), 6)
     )
@@ -341,7 +359,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     if still.shape[1] != defect:
         usual = np.array(MOTIONS_BY_RANK_DEFECT.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
         free_motions = np.eye(6)[:, usual[np.isin(usual, moving)]]
-    free_motions[:3] += np.cross(middle, free_motions[3:].T).T  # turns about the middle as turns about the origin
+    free_motions[:3] += np.cross(centre, free_motions[3:].T).T  # turns about the middle as turns about the origin
     return free_motions
 
 
@@ -365,16 +383,16 @@ def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) ->
     return order
 
 
-def exchanged_names_sentence(names: Sequence[str], order: Ints) -> str:
+def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
     """Sentence on names that are exchanged in the second epoch."""
-    changed = np.flatnonzero(order != np.arange(len(order)))
-    names_changed = listing([names[i] for i in changed.tolist()], len(changed))
+    changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
+    names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
-def undetermined_motions_note(count: int) -> str:
-    """Note on the undetermined motions of the whole network, their number `count`, and how they were fixed."""
+def undetermined_motions_note(n_motions: int) -> str:
+    """Note on the undetermined motions of the whole network, their number `n_motions`, and how they were fixed."""
     return (
-        f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
-        "with the first along them"
+        f"the covariances leave {n_motions} motions of the whole network open (free networks): the second epoch is "
+        "aligned with the first along them"
     )

@@ -103,40 +103,40 @@ class TaskEvaluation:
             warnings=tuple(self.warnings),
         )
 
-    def _task_result(self, i: int, task: Task, output: TaskOutput) -> TaskResult:
-        unit, drawn = output.si_per_unit, self.monte_carlo
-        value, sigma = float(self.linear.values[i]) / unit, float(self.linear.sigma[i]) / unit
-        wide = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[i]) / unit
-        tolerance, draws = task.tolerances.get(output.name), drawn.values[:, i] / unit
+    def _task_result(self, result_index: int, task: Task, task_output: TaskOutput) -> TaskResult:
+        unit, drawn = task_output.si_per_unit, self.monte_carlo
+        value, sigma = float(self.linear.values[result_index]) / unit, float(self.linear.sigma[result_index]) / unit
+        half_width = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[result_index]) / unit
+        tolerance, draws = task.tolerances.get(task_output.name), drawn.values[:, result_index] / unit
         return TaskResult(
             task=task.name,
             kind=task.kind,
-            name=output.name,
-            unit=output.unit,
+            name=task_output.name,
+            unit=task_output.unit,
             value=value,
             standard_uncertainty=sigma,
-            coverage_factor=wide / sigma if sigma > 0 else 0.0,
-            expanded_uncertainty=wide,
+            coverage_factor=half_width / sigma if sigma > 0 else 0.0,
+            expanded_uncertainty=half_width,
             monte_carlo=Distribution(
-                mean=float(drawn.means[i]) / unit,
-                standard_uncertainty=float(drawn.sigmas[i]) / unit,
-                symmetric=(drawn.symmetric_intervals[i] / unit).tolist(),
-                shortest=(drawn.shortest_intervals[i] / unit).tolist(),
-                stable=bool(drawn.is_stable[i]),
-                agrees=bool(self.interval_agrees[i]),
+                mean=float(drawn.means[result_index]) / unit,
+                standard_uncertainty=float(drawn.sigmas[result_index]) / unit,
+                symmetric=(drawn.symmetric_intervals[result_index] / unit).tolist(),
+                shortest=(drawn.shortest_intervals[result_index] / unit).tolist(),
+                stable=bool(drawn.is_stable[result_index]),
+                agrees=bool(self.interval_agrees[result_index]),
             ),
-            curvature=float(self.curvature_ratios[i]),
-            budget=self._budget_parts(i, sigma),
-            hidden=self._hidden_errors(i, unit, sigma),
+            curvature=float(self.curvature_ratios[result_index]),
+            budget=self._budget_parts(result_index, sigma),
+            hidden=self._hidden_errors(result_index, unit, sigma),
             conformity=None
             if tolerance is None
             else evaluate_conformity(value, sigma, tolerance, self.tasks.decision, draws),
         )
 
-    def _hidden_errors(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
+    def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
         """Errors without effect on the readings that change a result by a relevant part of its uncertainty."""
         changes = {
-            name: abs(float(self.linear.point_derivatives[i] @ moved)) / unit
+            name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
             for name, moved in self.inputs.hidden_displacements.items()
         }
         ranked = sorted(changes, key=lambda name: -changes[name])
@@ -146,13 +146,13 @@ class TaskEvaluation:
             if changes[name] > MIN_HIDDEN_FRACTION * sigma
         )
 
-    def _budget_parts(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
+    def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetPart, ...]:
         """Budget of one result: sources with their fraction of its variance, the largest first.
 
         The fractions add up to 1.
         """
         shares, kinds = (
-            {name: float(share[i]) for name, share in self.linear.variance_by_source.items()},
+            {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
             self.linear.evaluation_types,
         )
         total = sum(shares.values())
@@ -177,13 +177,13 @@ def evaluate_listed_tasks(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEv
 
 
 @single_threaded
-def _evaluate(inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
+def _evaluate(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on points with known covariance."""
-    measurands = tuple(Measurand.from_task(task, inputs.target_names, inputs.points) for task in tasks.task)
+    measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
     stretch = part_expansion(tasks.growth)
-    linear = propagate(inputs, measurands, stretch)
-    drawn = run_monte_carlo(inputs, measurands, stretch, tasks.monte_carlo, linear)
-    gap = curvature_differences(inputs, measurands, tasks.monte_carlo.seed)
+    linear = propagate(task_inputs, measurands, stretch)
+    drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
+    gap = curvature_differences(task_inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
     agrees = drawn.interval_agrees(linear, tasks.monte_carlo.coverage)
-    return TaskEvaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)
+    return TaskEvaluation(tasks, task_inputs, measurands, linear, drawn, agrees, curved)

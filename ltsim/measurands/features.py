@@ -46,72 +46,77 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 """Smallest number of points that determine each feature."""
 
 
-def fit_feature(kind: str, points: Floats, start: FittedFeature | None = None) -> FittedFeature:
+def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
     """Least-squares feature for points (..., n, 3) [m]: line, plane, circle, sphere or cylinder.
 
-    `start` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the points do
-    not determine the feature.
+    `start_feature` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the
+    points do not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
-    if points.shape[-2] < MIN_POINTS_BY_FEATURE[kind]:
-        raise ModelError(f"a {kind} needs at least {MIN_POINTS_BY_FEATURE[kind]} points, not {points.shape[-2]}")
+    if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:
+        raise ModelError(
+            f"a {feature_kind} needs at least {MIN_POINTS_BY_FEATURE[feature_kind]} points, not {points.shape[-2]}"
+        )
     middle = points.mean(axis=-2, keepdims=True)
     local = points - middle
     extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
     if not np.all(extent > 0):
-        raise ModelError(f"the points of the {kind} coincide")
+        raise ModelError(f"the points of the {feature_kind} coincide")
     local = local / extent[..., None, None]
     place, scale = middle[..., 0, :], extent[..., None]
-    if start is not None:
-        centre = (start.reference_point - place) / scale
-        start = FittedFeature(
-            centre, np.broadcast_to(start.direction, centre.shape), start.radius / extent, start.deviations
+    if start_feature is not None:
+        centre = (start_feature.reference_point - place) / scale
+        start_feature = FittedFeature(
+            centre,
+            np.broadcast_to(start_feature.direction, centre.shape),
+            start_feature.radius / extent,
+            start_feature.deviations,
         )
-    feature = _FIT_FUNCTIONS[kind](local, start)
+    feature = _FIT_FUNCTIONS[feature_kind](local, start_feature)
     return FittedFeature(
         feature.reference_point * scale + place, feature.direction, feature.radius * extent, feature.deviations * scale
     )
 
 
-def _fit_line(local: Floats, _near: FittedFeature | None) -> FittedFeature:
-    _, s, v = np.linalg.svd(local, full_matrices=False)
+def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
-    along = np.einsum("...ni,...i->...n", local, direction)
-    side = local - along[..., None] * direction[..., None, :]
+    along = np.einsum("...ni,...i->...n", centred_points, direction)
+    side = centred_points - along[..., None] * direction[..., None, :]
     return _feature_without_radius(direction, np.linalg.norm(side, axis=-1))
 
 
-def _fit_plane(local: Floats, _near: FittedFeature | None) -> FittedFeature:
-    _, s, v = np.linalg.svd(local, full_matrices=False)
+def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    _, s, v = np.linalg.svd(centred_points, full_matrices=False)
     _require_determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
     normal = v[..., 2, :]
-    return _feature_without_radius(normal, np.einsum("...ni,...i->...n", local, normal))
+    return _feature_without_radius(normal, np.einsum("...ni,...i->...n", centred_points, normal))
 
 
-def _feature_without_radius(normal: Floats, deviations: Floats) -> FittedFeature:
-    return FittedFeature(np.zeros_like(normal), normal, np.full(normal.shape[:-1], np.nan), deviations)
+def _feature_without_radius(unit_normal: Floats, deviations: Floats) -> FittedFeature:
+    return FittedFeature(np.zeros_like(unit_normal), unit_normal, np.full(unit_normal.shape[:-1], np.nan), deviations)
 
 
-def _fit_sphere(local: Floats, _near: FittedFeature | None) -> FittedFeature:
-    centre, radius = _algebraic_fit(local)
+def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    centre, radius = _algebraic_fit(centred_points)
     for _ in range(MAX_FEATURE_FIT_STEPS):
-        arm = local - centre[..., None, :]
+        arm = centred_points - centre[..., None, :]
         length = np.linalg.norm(arm, axis=-1)
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
         step = _least_squares_step(design, length - radius[..., None], "sphere")
         centre, radius = centre + step[..., :3], radius + step[..., 3]
         if np.abs(step).max(initial=0.0) < FEATURE_STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
-    deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
+    deviations = np.linalg.norm(centred_points - centre[..., None, :], axis=-1) - radius[..., None]
     return FittedFeature(centre, np.full_like(centre, np.nan), radius, deviations)
 
 
-def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
-    normal = _fit_plane(local, None).direction
-    centre, radius = _projected_circle(local, normal)
+def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
+    normal = _fit_plane(centred_points, None).direction
+    centre, radius = _projected_circle(centred_points, normal)
     for _ in range(MAX_FEATURE_FIT_STEPS):
-        (first, second), height, x, y = _axis_coordinates(local, centre, normal)
+        (first, second), height, x, y = _axis_coordinates(centred_points, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
         # The normal turns by (a, b): n + a first + b second; a point's height changes by a x + b y, its reach by
@@ -125,26 +130,26 @@ def _fit_circle(local: Floats, _near: FittedFeature | None) -> FittedFeature:
         normal = _unit_vectors(normal + step[..., 3:4] * first + step[..., 4:5] * second)
         if np.abs(step).max(initial=0.0) < FEATURE_STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
-    _, height, x, y = _axis_coordinates(local, centre, normal)
+    _, height, x, y = _axis_coordinates(centred_points, centre, normal)
     radial = np.hypot(x, y) - radius[..., None]
     return FittedFeature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
-def _fit_cylinder(local: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
+def _fit_cylinder(centred_points: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
     """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
     if initial_feature is not None:
         return _refine_cylinder(
-            local, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
+            centred_points, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
         )
     features = []
-    for points in local.reshape(-1, *local.shape[-2:]):
+    for points in centred_points.reshape(-1, *centred_points.shape[-2:]):
         axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere_directions(N_INITIAL_AXES)])
         many = np.broadcast_to(points, (len(axes), *points.shape))
-        centre, radius = _projected_circle(many, axes, strict=False)
+        centre, radius = _projected_circle(many, axes, raises_if_undetermined=False)
         gap = np.hypot(*_axis_coordinates(many, centre, axes)[2:]) - radius[:, None]
         cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
         best = np.argsort(cost)[:6]
-        tried = _refine_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
+        tried = _refine_cylinder(many[best], axes[best], centre[best], radius[best], raises_if_undetermined=False)
         size = np.nan_to_num(np.sum(tried.deviations**2, axis=-1), nan=np.inf)
         k = int(np.argmin(size))
         _require_determined("cylinder", np.isfinite(size[k]), "determine no axis")
@@ -152,91 +157,114 @@ def _fit_cylinder(local: Floats, initial_feature: FittedFeature | None) -> Fitte
             FittedFeature(tried.reference_point[k], tried.direction[k], tried.radius[k], tried.deviations[k])
         )
     parts = (np.stack(part) for part in zip(*map(astuple, features), strict=True))
-    return FittedFeature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
+    return FittedFeature(*(part.reshape((*centred_points.shape[:-2], *part.shape[1:])) for part in parts))
 
 
 def _refine_cylinder(
-    local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True
+    centred_points: Floats,
+    axis_direction: Floats,
+    centre: Floats,
+    radius: Floats,
+    *,
+    raises_if_undetermined: bool = True,
 ) -> FittedFeature:
     for _ in range(MAX_FEATURE_FIT_STEPS):
-        (first, second), along, x, y = _axis_coordinates(local, centre, normal)
+        (first, second), along, x, y = _axis_coordinates(centred_points, centre, axis_direction)
         reach = np.maximum(np.hypot(x, y), 1e-300)
         c, s = x / reach, y / reach
         design = np.stack([-c, -s, -along * c, -along * s, -np.ones_like(x)], axis=-1)
-        step = _least_squares_step(design, reach - radius[..., None], "cylinder", strict=strict)
+        step = _least_squares_step(
+            design, reach - radius[..., None], "cylinder", raises_if_undetermined=raises_if_undetermined
+        )
         size = np.abs(step).max(axis=-1, keepdims=True)
         step = step / np.maximum(size / 0.3, 1.0)  # A far start must not turn the axis over.
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
-        normal = _unit_vectors(normal + step[..., 2:3] * first + step[..., 3:4] * second)
+        axis_direction = _unit_vectors(axis_direction + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
         if np.nanmax(size, initial=0.0) < FEATURE_STEP_TOLERANCE:
             break
-    centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
+    centre = centre - np.einsum("...i,...i->...", centre, axis_direction)[..., None] * axis_direction
     return FittedFeature(
-        centre, normal, radius, np.hypot(*_axis_coordinates(local, centre, normal)[2:]) - radius[..., None]
+        centre,
+        axis_direction,
+        radius,
+        np.hypot(*_axis_coordinates(centred_points, centre, axis_direction)[2:]) - radius[..., None],
     )
 
 
 def _axis_coordinates(
-    local: Floats, centre: Floats, normal: Floats
+    centred_points: Floats, centre: Floats, axis_direction: Floats
 ) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
     """Two directions perpendicular to an axis, and coordinates (..., n) of points along axis and directions."""
-    sides = _perpendicular_vectors(normal)
-    arm = local - centre[..., None, :]
-    height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
+    sides = _perpendicular_vectors(axis_direction)
+    arm = centred_points - centre[..., None, :]
+    height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (axis_direction, *sides))
     return sides, height, x, y
 
 
-def _projected_circle(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+def _projected_circle(
+    centred_points: Floats, axis_direction: Floats, *, raises_if_undetermined: bool = True
+) -> tuple[Floats, Floats]:
     """Centre (..., 3) and radius (...) of the algebraic circle through points projected along an axis."""
-    (first, second), _, x, y = _axis_coordinates(local, np.zeros_like(normal), normal)
-    middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), strict=strict)
+    (first, second), _, x, y = _axis_coordinates(centred_points, np.zeros_like(axis_direction), axis_direction)
+    middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), raises_if_undetermined=raises_if_undetermined)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
-def _algebraic_fit(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
     """Centre (..., d) and radius (...) from least squares of |p|^2 - 2 c p - k, which needs no start values."""
-    design = np.concatenate([2.0 * local, np.ones((*local.shape[:-1], 1))], axis=-1)
-    right = np.sum(local**2, axis=-1)
-    solution = -_least_squares_step(design, right, "sphere" if local.shape[-1] == 3 else "circle", strict=strict)
+    design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
+    right = np.sum(centred_points**2, axis=-1)
+    solution = -_least_squares_step(
+        design,
+        right,
+        "sphere" if centred_points.shape[-1] == 3 else "circle",
+        raises_if_undetermined=raises_if_undetermined,
+    )
     centre = solution[..., :-1]
     with np.errstate(invalid="ignore"):
         return centre, np.sqrt(solution[..., -1] + np.sum(centre**2, axis=-1))
 
 
-def _least_squares_step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Floats:
-    """Least-squares step (..., k) for `gap` (..., m) and `design` (..., m, k).
+def _least_squares_step(
+    design: Floats, misclosure: Floats, feature_kind: str, *, raises_if_undetermined: bool = True
+) -> Floats:
+    """Least-squares step (..., k) for `misclosure` (..., m) and `design` (..., m, k).
 
-    NaN, or an error if `strict`, for a singular design.
+    NaN, or an error if `raises_if_undetermined`, for a singular design.
     """
     q, r = np.linalg.qr(design)
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
-    whole = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
-    if strict:
-        _require_determined(kind, whole, "do not determine it")
-    r = np.where(whole[..., None, None], r, np.eye(r.shape[-1]))
-    right = -np.einsum("...mk,...m->...k", q, gap)
+    is_determined = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
+    if raises_if_undetermined:
+        _require_determined(feature_kind, is_determined, "do not determine it")
+    r = np.where(is_determined[..., None, None], r, np.eye(r.shape[-1]))
+    right = -np.einsum("...mk,...m->...k", q, misclosure)
     step = np.linalg.solve(r, right[..., None])[..., 0]
-    return np.where(whole[..., None], step, np.nan)
+    return np.where(is_determined[..., None], step, np.nan)
 
 
-def _require_determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
-    if not np.all(good):
-        raise ModelError(f"the points of the {kind} {reason}")
+def _require_determined(feature_kind: str, is_determined: Bools | np.bool_, reason: str) -> None:
+    if not np.all(is_determined):
+        raise ModelError(f"the points of the {feature_kind} {reason}")
 
 
 def _unit_vectors(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _perpendicular_vectors(normal: Floats) -> tuple[Floats, Floats]:
+def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (..., 3) that form a right-handed frame with `direction` and depend on it smoothly."""
-    least = np.argmin(np.abs(normal.reshape(-1, 3)).mean(axis=0)) if normal.ndim > 1 else int(np.argmin(np.abs(normal)))
+    least = (
+        np.argmin(np.abs(unit_normal.reshape(-1, 3)).mean(axis=0))
+        if unit_normal.ndim > 1
+        else int(np.argmin(np.abs(unit_normal)))
+    )
     helper = np.eye(3)[least]
-    parallel = np.abs(normal @ helper)[..., None] > 0.95
+    parallel = np.abs(unit_normal @ helper)[..., None] > 0.95
     helper = np.where(parallel, np.eye(3)[(least + 1) % 3], helper)
-    first = _unit_vectors(np.cross(helper, normal))
-    return first, np.cross(normal, first)
+    first = _unit_vectors(np.cross(helper, unit_normal))
+    return first, np.cross(unit_normal, first)
 
 
 def _half_sphere_directions(n_directions: int) -> Floats:
@@ -244,8 +272,8 @@ def _half_sphere_directions(n_directions: int) -> Floats:
     i = np.arange(n_directions) + 0.5
     z = i / n_directions
     turn = i * np.pi * (3.0 - np.sqrt(5.0))
-    flat = np.sqrt(1.0 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    radius = np.sqrt(1.0 - z**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
 
 
 _FIT_FUNCTIONS = {

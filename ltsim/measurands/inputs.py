@@ -44,7 +44,7 @@ SIGMA_OF_UNIT_SIZE = {
 
 
 LENGTHS_SOURCE = "known lengths"
-"""Name of the source: declared reference lengths."""
+"""Name of the uncertainty source of the declared reference lengths."""
 CONTROL_SOURCE = "control points"
 """Name of the source: control points."""
 PRIOR_SOURCE = "specification"
@@ -109,8 +109,8 @@ class TaskInputs(ValueEquality):
                 raise unknown_name("target", name, recording.targets)
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
-        at = np.array([recording.targets.index(name) for name in names])
-        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[at].ravel())
+        indices = np.array([recording.targets.index(name) for name in names])
+        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
             replace(s, point_response=_reduce_variates(s.point_response)) for s in observed_sources(adjustment, reach)
         ]
@@ -121,7 +121,9 @@ class TaskInputs(ValueEquality):
         further += air_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
         hidden = displacements_by_shared_air(adjustment, reach, air)
-        return cls(adjustment, names, adjustment.state.target_points[at], reach, (*observed, *further), words, hidden)
+        return cls(
+            adjustment, names, adjustment.state.target_points[indices], reach, (*observed, *further), words, hidden
+        )
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
@@ -137,12 +139,12 @@ class TaskInputs(ValueEquality):
         for name in names:
             if name not in coordinates.names:
                 raise unknown_name("target", name, coordinates.names)
-        at = np.array([coordinates.names.index(name) for name in names])
-        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        indices = np.array([coordinates.names.index(name) for name in names])
+        rows = (3 * indices[:, None] + np.arange(3)).ravel()
         values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(rows, rows)])
         reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         source = UncertaintySource(f"coordinates of {coordinates.title}", "A", reach.T)
-        return cls(coordinates, names, coordinates.points[at], reach, (source,))
+        return cls(coordinates, names, coordinates.points[indices], reach, (source,))
 
     @property
     def covariance(self) -> Floats:
@@ -226,75 +228,87 @@ def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[Uncertai
 
 def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
     """Air of a budget, without the properties that tasks declare themselves."""
-    declared = {entry.effect for entry in tasks.type_b}
+    declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
     air = tasks.air or adjustment.recording.setup.air or AirUncertainty()
-    return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
+    return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared_effects})
 
 
-def air_sources(adjustment: Adjustment, point_response: Floats, air: AirUncertainty) -> list[UncertaintySource]:
+def air_sources(
+    adjustment: Adjustment, point_response: Floats, air_uncertainty: AirUncertainty
+) -> list[UncertaintySource]:
     """Sources of the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
-    responses = displacements_by_air(adjustment, point_response, air)
+    responses = displacements_by_air(adjustment, point_response, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
-def _reduce_variates(response: Floats) -> Floats:
+def _reduce_variates(variate_response: Floats) -> Floats:
     """Response with the same covariance, and with at most as many variates as coordinates."""
-    if response.shape[1] <= response.shape[0]:
-        return response
-    return np.asarray(np.linalg.qr(response.T, mode="r")).T
+    if variate_response.shape[1] <= variate_response.shape[0]:
+        return variate_response
+    return np.asarray(np.linalg.qr(variate_response.T, mode="r")).T
 
 
-def _type_b_source(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) -> UncertaintySource:
-    effect, sizes = _effect_and_sizes(adjustment.recording, entry, number)
-    sigma = sizes * SIGMA_OF_UNIT_SIZE[entry.distribution]
+def _type_b_source(
+    adjustment: Adjustment, point_response: Floats, type_b_entry: TypeB, entry_number: int
+) -> UncertaintySource:
+    effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
+    sigma = sizes * SIGMA_OF_UNIT_SIZE[type_b_entry.distribution]
     problem = adjustment.problem
     rows, columns = np.nonzero(problem.used_readings)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
-    whitened = design / problem.sigma[rows, columns][:, None]
-    group = _draw_groups(adjustment.recording, entry.shared)[rows]
-    response = np.zeros((reach.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
+    whitened_design = design / problem.sigma[rows, columns][:, None]
+    group = _draw_groups(adjustment.recording, type_b_entry.shared)[rows]
+    response = np.zeros((point_response.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
-        response[:, g] = reach[mine].T @ whitened[mine]
+        response[:, g] = point_response[mine].T @ whitened_design[mine]
     gauge = problem.gauge_rows
     lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, adjustment.state.target_points) * sigma
     if np.any(lengths):
-        if entry.shared != "all":
-            raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
-        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
+        if type_b_entry.shared != "all":
+            raise SetupError(
+                f'type_b.{entry_number}.shared: {type_b_entry.effect} acts on known lengths, expected shared = "all"'
+            )
+        response[:, 0] += point_response[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
-        raise SetupError(f"type_b.{number}: {entry.effect} acts on no reading that the tasks depend on")
-    place = ", ".join(entry.stations + entry.targets)
-    name = entry.name or (f"{entry.effect} at {place}" if place else entry.effect)
-    return UncertaintySource(name, "B", response.reshape(len(response), -1), entry.distribution)
+        raise SetupError(f"type_b.{entry_number}: {type_b_entry.effect} acts on no reading that the tasks depend on")
+    place = ", ".join(type_b_entry.stations + type_b_entry.targets)
+    name = type_b_entry.name or (f"{type_b_entry.effect} at {place}" if place else type_b_entry.effect)
+    return UncertaintySource(name, "B", response.reshape(len(response), -1), type_b_entry.distribution)
 
 
-def _effect_and_sizes(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
+def _effect_and_sizes(recording: Recording, type_b_entry: TypeB, entry_number: int) -> tuple[Effect, Floats]:
     """Effect of an entry, and the sizes (p,) [SI] of its parameters."""
     try:
-        effect = make_effect(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+        effect = make_effect(
+            type_b_entry.effect,
+            {"stations": type_b_entry.stations, "targets": type_b_entry.targets},
+            type_b_entry.shape,
+        )
     except ModelError as problem:
-        raise SetupError(f"type_b.{number}: {problem}") from None
+        raise SetupError(f"type_b.{entry_number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
-        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; declare it as the instrument's noise")
+        raise SetupError(
+            f"type_b.{entry_number}: {type_b_entry.effect} changes the noise; declare it as the instrument's noise"
+        )
     for what, wanted, choices in (
-        ("station", entry.stations, recording.stations),
-        ("target", entry.targets, recording.targets),
+        ("station", type_b_entry.stations, recording.stations),
+        ("target", type_b_entry.targets, recording.targets),
     ):
         missing = [name for name in wanted if name not in choices]
         if missing:
-            raise SetupError(f"type_b.{number}.{what}s: {unknown_name(what, missing[0], choices)}")
+            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name(what, missing[0], choices)}")
     names = [p.name for p in effect.parameters]
-    wrong = [name for name in entry.sizes if name not in names]
+    wrong = [name for name in type_b_entry.sizes if name not in names]
     if wrong:
-        raise SetupError(f"type_b.{number}.sizes: {unknown_name('parameter', wrong[0], names)}")
-    if not entry.sizes:
+        raise SetupError(f"type_b.{entry_number}.sizes: {unknown_name('parameter', wrong[0], names)}")
+    if not type_b_entry.sizes:
         return effect, np.array([p.prior_sigma for p in effect.parameters])
-    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
+    return effect, np.array([type_b_entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
 
 
-def _draw_groups(recording: Recording, scope: str) -> Ints:
+def _draw_groups(recording: Recording, draw_scope: str) -> Ints:
     """Group numbers (n,) of the pointings; those with equal numbers share one draw."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
@@ -302,4 +316,4 @@ def _draw_groups(recording: Recording, scope: str) -> Ints:
         "instrument": recording.instrument,
         "target": recording.target,
         "pointing": np.arange(len(recording)),
-    }[scope]
+    }[draw_scope]

@@ -54,13 +54,13 @@ class Measurand(ValueEquality):
         for name in task.targets:
             if name not in targets:
                 raise unknown_name("target", name, targets)
-        at = np.array([targets.index(name) for name in task.targets])
-        lost = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[at]).all(axis=1))]
-        if lost:
-            raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
+        indices = np.array([targets.index(name) for name in task.targets])
+        undetermined = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[indices]).all(axis=1))]
+        if undetermined:
+            raise ModelError(f"task {task.name}: the readings do not determine target {undetermined[0]}")
         try:
-            near = fit_feature(task.kind, points[at]) if task.kind in _FEATURE_OUTPUTS else None
-            measurand = cls(task, at, near)
+            near = fit_feature(task.kind, points[indices]) if task.kind in _FEATURE_OUTPUTS else None
+            measurand = cls(task, indices, near)
             measurand.values(points)
         except (ModelError, NetworkError) as problem:
             raise ModelError(f"task {task.name}: {problem}") from None
@@ -84,47 +84,47 @@ class Measurand(ValueEquality):
         scale = [TaskOutput("scale", "ppm", PPM)] if self.task.scale else []
         return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
-    def values(self, points: Floats, stretch: Floats | float = 1.0) -> Floats:
-        """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by its `stretch` (...)."""
-        chosen = points[..., self.target_indices, :]
-        middle = chosen.mean(axis=-2, keepdims=True)
-        chosen = middle + (chosen - middle) / np.asarray(stretch)[..., None, None]
+    def values(self, points: Floats, scale_change: Floats | float = 1.0) -> Floats:
+        """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by a factor (...)."""
+        scaled_points = points[..., self.target_indices, :]
+        centre = scaled_points.mean(axis=-2, keepdims=True)
+        scaled_points = centre + (scaled_points - centre) / np.asarray(scale_change)[..., None, None]
         kind = self.task.kind
         if kind == "point":
-            return chosen[..., 0, :]
+            return scaled_points[..., 0, :]
         if kind == "rod":
-            way = chosen[..., 1, :] - chosen[..., 0, :]
+            way = scaled_points[..., 1, :] - scaled_points[..., 0, :]
             along = way / np.linalg.norm(way, axis=-1, keepdims=True)
-            return chosen[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
+            return scaled_points[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
         if kind == "distance":
-            return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
+            return np.linalg.norm(scaled_points[..., 1, :] - scaled_points[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
-            return _angle_of_points(chosen)[..., None]
+            return _angle_of_points(scaled_points)[..., None]
         if kind in _FEATURE_OUTPUTS:
-            return self._feature_values(chosen)
-        return self._fit(chosen)
+            return self._feature_values(scaled_points)
+        return self._fit(scaled_points)
 
-    def point_derivatives(self, points: Floats, stretch: float = 1.0) -> Floats:
+    def point_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative (k, 3 T) of the results with respect to points (T, 3), by central differences."""
         count = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * count, points.size))
         steps[np.arange(count), columns] = DIFFERENCE_STEP
         steps[count + np.arange(count), columns] = -DIFFERENCE_STEP
-        values = self.values(points + steps.reshape(2 * count, *points.shape), stretch)
+        values = self.values(points + steps.reshape(2 * count, *points.shape), scale_change)
         change = np.zeros((values.shape[1], points.size))
         change[:, columns] = (values[:count] - values[count:]).T / (2 * DIFFERENCE_STEP)
         return change
 
-    def stretch_derivatives(self, points: Floats, stretch: float = 1.0) -> Floats:
+    def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative (k,) of the results with respect to the stretch."""
-        both = np.array([stretch + DIFFERENCE_STEP, stretch - DIFFERENCE_STEP])
-        values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
+        scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
+        values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
         return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)
 
-    def _feature_values(self, chosen: Floats) -> Floats:
+    def _feature_values(self, feature_points: Floats) -> Floats:
         task, near = self.task, self.reference_feature
-        feature = fit_feature(task.kind, chosen, near)
+        feature = fit_feature(task.kind, feature_points, near)
         normal = feature.direction
         if near is not None and task.kind != "sphere":
             normal = normal * np.sign(np.einsum("...i,i->...", normal, near.direction))[..., None]
@@ -140,14 +140,16 @@ class Measurand(ValueEquality):
         }
         return np.concatenate([parts[name] for name in _FEATURE_OUTPUTS[task.kind]], axis=-1)
 
-    def _fit(self, chosen: Floats) -> Floats:
+    def _fit(self, feature_points: Floats) -> Floats:
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.fit:
-            return _distances(chosen - nominal)
-        rotation, shift, scale = align_with_scale(nominal, chosen, with_scale=task.scale)
+            return _distances(feature_points - nominal)
+        rotation, shift, scale = align_with_scale(nominal, feature_points, with_scale=task.scale)
         if task.kind == "deviation":
-            back = np.einsum("...ji,...nj->...ni", rotation, chosen - shift[..., None, :]) / scale[..., None, None]
+            back = (
+                np.einsum("...ji,...nj->...ni", rotation, feature_points - shift[..., None, :]) / scale[..., None, None]
+            )
             return _distances(back - nominal)
         from scipy.spatial.transform import Rotation  # slow to load
 
@@ -156,17 +158,17 @@ class Measurand(ValueEquality):
         return np.concatenate([shift, turn, *ratio], axis=-1)
 
 
-def _angle_of_points(chosen: Floats) -> Floats:
-    first, second = chosen[..., 0, :] - chosen[..., 1, :], chosen[..., 2, :] - chosen[..., 1, :]
+def _angle_of_points(three_points: Floats) -> Floats:
+    first, second = three_points[..., 0, :] - three_points[..., 1, :], three_points[..., 2, :] - three_points[..., 1, :]
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
         raise ModelError("an arm of the angle has length 0")
     return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 
-def _distances(gap: Floats) -> Floats:
-    rows = np.concatenate([gap, np.linalg.norm(gap, axis=-1, keepdims=True)], axis=-1)
-    return rows.reshape(*gap.shape[:-2], -1)
+def _distances(difference_vectors: Floats) -> Floats:
+    rows = np.concatenate([difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1)
+    return rows.reshape(*difference_vectors.shape[:-2], -1)
 
 
 _FEATURE_OUTPUTS = {

@@ -31,23 +31,26 @@ MAX_CURVATURE_RATIO = 0.05
 """Difference between the exact and the linear adjustment, in standard uncertainties, from which a warning is given."""
 
 
-def part_expansion(growth: PartExpansion | None) -> ThermalExpansion:
+def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion:
     """Expansion of the part from calibration to measurement, as an input quantity."""
-    if growth is None:
+    if declared_expansion is None:
         return ThermalExpansion()
-    kelvin = growth.measured_c - growth.reference_c
+    kelvin = declared_expansion.measured_c - declared_expansion.reference_c
     return ThermalExpansion.from_temperature(
-        growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k
+        declared_expansion.expansion_per_k,
+        kelvin,
+        declared_expansion.sigma_expansion_per_k,
+        declared_expansion.sigma_temperature_k,
     )
 
 
-def expansion_errors(stretch: ThermalExpansion) -> list[tuple[str, float]]:
+def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
     """Names and sizes of the errors of the part's expansion."""
-    named = [
-        ("expansion of the part", stretch.change_by_coefficient),
-        ("temperature of the part", stretch.change_by_temperature),
+    error_sizes = [
+        ("expansion of the part", thermal_expansion.change_by_coefficient),
+        ("temperature of the part", thermal_expansion.change_by_temperature),
     ]
-    return [(name, change) for name, change in named if change]
+    return [(name, change) for name, change in error_sizes if change]
 
 
 @dataclass(frozen=True)
@@ -72,9 +75,9 @@ class LinearUncertainty(ValueEquality):
         """Standard uncertainty of each result, (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def expanded_uncertainty(self, coverage: float) -> Floats:
+    def expanded_uncertainty(self, coverage_probability: float) -> Floats:
         """Expanded uncertainty (k,) for a coverage probability, of each result separately (normal distribution)."""
-        return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
+        return float(special.ndtri(0.5 + coverage_probability / 2)) * self.sigma
 
     @property
     def correlation(self) -> Floats:
@@ -84,21 +87,23 @@ class LinearUncertainty(ValueEquality):
         return correlation
 
 
-def propagate(inputs: TaskInputs, measurands: Sequence[Measurand], stretch: ThermalExpansion) -> LinearUncertainty:
+def propagate(
+    task_inputs: TaskInputs, measurands: Sequence[Measurand], thermal_expansion: ThermalExpansion
+) -> LinearUncertainty:
     """First-order propagation of all sources through adjustment and tasks."""
-    points = inputs.points
-    values = np.concatenate([m.values(points, stretch.length_ratio) for m in measurands])
-    by_points = np.concatenate([m.point_derivatives(points, stretch.length_ratio) for m in measurands])
-    by_stretch = np.concatenate([m.stretch_derivatives(points, stretch.length_ratio) for m in measurands])
+    points = task_inputs.points
+    values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
+    by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
+    by_stretch = np.concatenate([m.stretch_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
     covariance = np.zeros((len(values), len(values)))
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
-    for source in inputs.sources:
+    for source in task_inputs.sources:
         reached = by_points @ source.point_response
         covariance += reached @ reached.T
         shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
         kinds[source.name] = source.evaluation_type
-    for name, sigma in expansion_errors(stretch):
+    for name, sigma in expansion_errors(thermal_expansion):
         reached = by_stretch * sigma
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
@@ -106,17 +111,17 @@ def propagate(inputs: TaskInputs, measurands: Sequence[Measurand], stretch: Ther
     return LinearUncertainty(values, covariance, shares, kinds, by_points, by_stretch)
 
 
-def curvature_differences(inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
     """Largest difference (k,) [SI] between the exact and the linear change of each result.
 
     The adjustment is repeated with a few noise draws. The difference is zero for a list of coordinates, whose readings
     are not available.
     """
-    origin = inputs.origin
+    origin = task_inputs.origin
     if isinstance(origin, EpochCoordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = origin.recording, origin.problem
-    at = [recording.targets.index(name) for name in inputs.target_names]
+    indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.used_readings, int(problem.used_readings.sum())
     worst = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(N_CURVATURE_CHECKS):
@@ -128,12 +133,12 @@ def curvature_differences(inputs: TaskInputs, measurands: Sequence[Measurand], s
             origin.construction,
             sigma=problem.sigma,
             reading_mask=problem.used_readings,
-            start=origin.state,
+            start_state=origin.state,
             datum=origin.datum.point_names if origin.datum is not None else None,
         )
-        shift = (noise @ inputs.point_response[:count]).reshape(-1, 3)
-        linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
-        exact = np.concatenate([m.values(again.state.target_points[at]) for m in measurands])
+        shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
+        linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
+        exact = np.concatenate([m.values(again.state.target_points[indices]) for m in measurands])
         worst = np.maximum(worst, np.abs(exact - linear))
     return worst
 
@@ -184,68 +189,77 @@ class MonteCarloUncertainty(ValueEquality):
         """Number of trials."""
         return len(self.values)
 
-    def interval_agrees(self, linear: LinearUncertainty, coverage: float) -> Bools:
+    def interval_agrees(self, linear_uncertainty: LinearUncertainty, coverage_probability: float) -> Bools:
         """Flags (k,) that the limits of the linear interval agree with those of the distribution (clause 8).
 
         The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
         """
-        expanded = linear.expanded_uncertainty(coverage)
-        ends = np.stack([linear.values - expanded, linear.values + expanded], axis=1)
+        expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
+        limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
         allowed = self.tolerances + self.numerical_errors
-        return np.all(np.abs(ends - self.symmetric_intervals) <= allowed[:, None], axis=1)
+        return np.all(np.abs(limits - self.symmetric_intervals) <= allowed[:, None], axis=1)
 
 
 def run_monte_carlo(
-    inputs: TaskInputs,
+    task_inputs: TaskInputs,
     measurands: Sequence[Measurand],
-    stretch: ThermalExpansion,
-    settings: MonteCarlo,
-    linear: LinearUncertainty,
+    thermal_expansion: ThermalExpansion,
+    monte_carlo_settings: MonteCarlo,
+    linear_uncertainty: LinearUncertainty,
 ) -> MonteCarloUncertainty:
     """Distribution from trials until all results are known to a fifth of their tolerance, or up to a number."""
-    exact = _linear_statistics(inputs, linear, settings.coverage)
+    exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    most = max(settings.most_trials // TRIALS_PER_BATCH, 1)
-    uncertain = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
-    power = np.floor(np.log10(np.where(uncertain, linear.sigma, 1.0))) - (settings.digits - 1)
+    max_batches = max(monte_carlo_settings.most_trials // TRIALS_PER_BATCH, 1)
+    uncertain = (
+        linear_uncertainty.sigma > 0
+    )  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
+    power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
-    error = np.full((4, len(linear.values)), np.inf)
-    while len(samples) < most and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
-        shift, grown = _draw_errors(inputs, stretch, settings.seed, len(samples))
-        by_line = linear.values + shift @ linear.point_derivatives.T + np.outer(grown, linear.stretch_derivatives)
-        points = inputs.points + shift.reshape(TRIALS_PER_BATCH, *inputs.points.shape)
-        samples.append(_evaluate_results(measurands, points, stretch.length_ratio + grown))
+    error = np.full((4, len(linear_uncertainty.values)), np.inf)
+    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
+        shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
+        by_line = (
+            linear_uncertainty.values
+            + shift @ linear_uncertainty.point_derivatives.T
+            + np.outer(grown, linear_uncertainty.stretch_derivatives)
+        )
+        points = task_inputs.points + shift.reshape(TRIALS_PER_BATCH, *task_inputs.points.shape)
+        samples.append(_evaluate_results(measurands, points, thermal_expansion.length_ratio + grown))
         figures.append(
-            _batch_statistics(samples[-1], settings.coverage) - _batch_statistics(by_line, settings.coverage)
+            _batch_statistics(samples[-1], monte_carlo_settings.coverage)
+            - _batch_statistics(by_line, monte_carlo_settings.coverage)
         )
         if len(samples) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
-    every = np.concatenate(samples)
+    all_results = np.concatenate(samples)
     return MonteCarloUncertainty(
-        values=every,
+        values=all_results,
         means=mean,
         sigmas=sigma,
         symmetric_intervals=np.stack([low, high], axis=1),
-        shortest_intervals=shortest_intervals(every, settings.coverage),
+        shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage),
         numerical_errors=error[2:].max(axis=0),
         is_stable=np.all(error <= tolerance, axis=0),
         tolerances=tolerance,
     )
 
 
-def _draw_errors(inputs: TaskInputs, stretch: ThermalExpansion, seed: int, number: int) -> tuple[Floats, Floats]:
+def _draw_errors(
+    task_inputs: TaskInputs, thermal_expansion: ThermalExpansion, seed: int, batch_number: int
+) -> tuple[Floats, Floats]:
     """Draws of one batch: errors of all points (BATCH, 3 T) [m], and of the part's expansion (BATCH,)."""
-    shift = np.zeros((TRIALS_PER_BATCH, inputs.points.size))
-    for i, source in enumerate(inputs.sources):
+    shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
+    for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.point_response.shape[1]
         key = STREAM_KEYS.get(source.name, source.name)
-        rng = stream(seed, "uncertainty", key, i, number)
+        rng = stream(seed, "uncertainty", key, i, batch_number)
         shift += draw_variates(rng, source.distribution, shape) @ source.point_response.T
     grown = np.zeros(TRIALS_PER_BATCH)
-    for name, sigma in expansion_errors(stretch):
-        grown += sigma * stream(seed, "uncertainty", name, number).standard_normal(TRIALS_PER_BATCH)
+    for name, sigma in expansion_errors(thermal_expansion):
+        grown += sigma * stream(seed, "uncertainty", name, batch_number).standard_normal(TRIALS_PER_BATCH)
     return shift, grown
 
 
@@ -256,66 +270,82 @@ def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: F
     return np.concatenate(rows)
 
 
-def _linear_statistics(inputs: TaskInputs, linear: LinearUncertainty, coverage: float) -> Floats:
+def _linear_statistics(
+    task_inputs: TaskInputs, linear_uncertainty: LinearUncertainty, coverage_probability: float
+) -> Floats:
     """Mean, standard deviation and interval limits of the linear model without random draws, (4, k)."""
     others = [
-        (s.distribution, linear.point_derivatives @ s.point_response)
-        for s in inputs.sources
+        (s.distribution, linear_uncertainty.point_derivatives @ s.point_response)
+        for s in task_inputs.sources
         if s.distribution != "normal"
     ]
-    half = np.array(
+    half_widths = np.array(
         [
-            _coverage_half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage)
-            for i, sigma in enumerate(linear.sigma)
+            _coverage_half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage_probability)
+            for i, sigma in enumerate(linear_uncertainty.sigma)
         ]
     )
-    return np.stack([linear.values, linear.sigma, linear.values - half, linear.values + half])
+    return np.stack(
+        [
+            linear_uncertainty.values,
+            linear_uncertainty.sigma,
+            linear_uncertainty.values - half_widths,
+            linear_uncertainty.values + half_widths,
+        ]
+    )
 
 
-def _coverage_half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:
+def _coverage_half_width(
+    normal_sigma: float, other_distributions: Sequence[tuple[str, Floats]], coverage_probability: float
+) -> float:
     """Half-width of the coverage interval of a sum of independent symmetric variates with total variance sigma^2.
 
     It is computed by inversion of the characteristic function, which is a product (Gil-Pelaez, Biometrika 38 (1951)
     481).
     """
-    independent = sum(float(np.sum(sizes**2)) for _, sizes in others)
-    if sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * sigma**2:
-        return float(special.ndtri(0.5 + coverage / 2)) * sigma
-    at = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
-    damping = np.exp(-0.5 * max(1.0 - independent / sigma**2, 0.0) * at**2)
-    for name, sizes in others:
-        for size in np.abs(sizes[sizes != 0]) / sigma:
-            damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * at)
+    independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
+    if normal_sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * normal_sigma**2:
+        return float(special.ndtri(0.5 + coverage_probability / 2)) * normal_sigma
+    frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
+    damping = np.exp(-0.5 * max(1.0 - independent / normal_sigma**2, 0.0) * frequencies**2)
+    for name, sizes in other_distributions:
+        for size in np.abs(sizes[sizes != 0]) / normal_sigma:
+            damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * frequencies)
 
     def excess(width: float) -> float:
-        return float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * at) / at * damping)) - coverage
+        return (
+            float(2.0 / np.pi * INTEGRATION_STEP * np.sum(np.sin(width * frequencies) / frequencies * damping))
+            - coverage_probability
+        )
 
-    return sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
+    return normal_sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
 
 
-def draw_variates(random_generator: np.random.Generator, distribution: str, shape: tuple[int, ...]) -> Floats:
+def draw_variates(
+    random_generator: np.random.Generator, distribution_name: str, array_shape: tuple[int, ...]
+) -> Floats:
     """Random draws with zero mean and unit standard deviation."""
-    if distribution == "rectangular":
-        return random_generator.uniform(-np.sqrt(3.0), np.sqrt(3.0), shape)
-    if distribution == "triangular":
-        return random_generator.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), shape)
-    if distribution == "arcsine":
-        return np.sqrt(2.0) * np.sin(random_generator.uniform(-np.pi, np.pi, shape))
-    return random_generator.standard_normal(shape)
+    if distribution_name == "rectangular":
+        return random_generator.uniform(-np.sqrt(3.0), np.sqrt(3.0), array_shape)
+    if distribution_name == "triangular":
+        return random_generator.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), array_shape)
+    if distribution_name == "arcsine":
+        return np.sqrt(2.0) * np.sin(random_generator.uniform(-np.pi, np.pi, array_shape))
+    return random_generator.standard_normal(array_shape)
 
 
-def _batch_statistics(values: Floats, coverage: float) -> Floats:
+def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Floats:
     """Mean, standard deviation and limits of the symmetric interval of one batch, (4, k)."""
-    tail = 50.0 * (1.0 - coverage)
-    ends = np.percentile(values, [tail, 100.0 - tail], axis=0)
-    return np.stack([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])
+    tail = 50.0 * (1.0 - coverage_probability)
+    limits = np.percentile(trial_results, [tail, 100.0 - tail], axis=0)
+    return np.stack([trial_results.mean(axis=0), trial_results.std(axis=0, ddof=1), *limits])
 
 
-def shortest_intervals(values: Floats, coverage: float) -> Floats:
+def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
     """Shortest coverage intervals (k, 2) of trials (n, k) (JCGM 101, 7.7)."""
-    ordered = np.sort(values, axis=0)
+    ordered = np.sort(trial_results, axis=0)
     count = len(ordered)
-    inside = int(np.clip(round(coverage * count), 1, count - 1))
-    best = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
-    columns = np.arange(values.shape[1])
-    return np.stack([ordered[best, columns], ordered[best + inside, columns]], axis=1)
+    inside = int(np.clip(round(coverage_probability * count), 1, count - 1))
+    best_index = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
+    columns = np.arange(trial_results.shape[1])
+    return np.stack([ordered[best_index, columns], ordered[best_index + inside, columns]], axis=1)

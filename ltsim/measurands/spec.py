@@ -202,7 +202,7 @@ def load_tasks(path: Path) -> Tasks:
     return load_settings(path, Tasks, "task file")
 
 
-def validate_tasks(data: Mapping[str, Any], file: object) -> Tasks:
+def validate_tasks(tables: Mapping[str, Any], file: object) -> Tasks:
     """Validated tables of a task file; `file` is named in errors. Raises SetupError."""
     with as_setup_error():
-        return validate_settings(data, Tasks, "task file", file)
+        return validate_settings(tables, Tasks, "task file", file)

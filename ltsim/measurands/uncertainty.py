@@ -209,14 +209,14 @@ class Uncertainty(ResultFile):
 
     def _lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
-        more = len(self.results) - len(lines)
+        n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
-        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+        return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        parts = [(r, p) for r in self.results for p in r.budget]
+        budget_rows = [(r, p) for r in self.results for p in r.budget]
         rows: list[tuple[Any, ...]] = [
-            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts
+            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in budget_rows
         ]
         rows += [
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
@@ -239,33 +239,37 @@ class Uncertainty(ResultFile):
 
 
 def evaluate_conformity(
-    value: float, sigma: float, tolerance: ToleranceLimits, decision: Decision, draws: Floats | None = None
+    result_value: float,
+    sigma: float,
+    tolerance: ToleranceLimits,
+    decision_rule: Decision,
+    trial_results: Floats | None = None,
 ) -> Conformity:
-    """Conformity of a result (in the unit of the tolerance), from its distribution: the `draws`, or a normal one.
+    """Conformity of a result (in the unit of the tolerance), from its trials, or from a normal distribution.
 
     References
     ----------
     JCGM 106:2012, clauses 7 (probability of conformity) and 8 (guard bands).
     """
-    low = -np.inf if tolerance.lower is None else tolerance.lower
-    high = np.inf if tolerance.upper is None else tolerance.upper
-    if draws is not None:
-        probability = float(np.mean((draws >= low) & (draws <= high)))
+    lower = -np.inf if tolerance.lower is None else tolerance.lower
+    upper = np.inf if tolerance.upper is None else tolerance.upper
+    if trial_results is not None:
+        probability = float(np.mean((trial_results >= lower) & (trial_results <= upper)))
     elif sigma > 0:
-        probability = float(special.ndtr((high - value) / sigma) - special.ndtr((low - value) / sigma))
+        probability = float(special.ndtr((upper - result_value) / sigma) - special.ndtr((lower - result_value) / sigma))
     else:
-        probability = float(low <= value <= high)
-    guard = float(-special.ndtri(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
+        probability = float(lower <= result_value <= upper)
+    guard = float(-special.ndtri(decision_rule.risk)) * sigma if decision_rule.rule == "guarded" else 0.0
     judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
     wrong = min(probability, 1.0 - probability)
-    if low + guard <= value <= high - guard:
+    if lower + guard <= result_value <= upper - guard:
         judgement, wrong = "accepted", 1.0 - probability
-    elif value < low - guard or value > high + guard:
+    elif result_value < lower - guard or result_value > upper + guard:
         judgement, wrong = "rejected", probability
     return Conformity(
         lower=tolerance.lower,
         upper=tolerance.upper,
-        rule=decision.rule,
+        rule=decision_rule.rule,
         guard_band=guard,
         probability=probability,
         judgement=judgement,
@@ -273,24 +277,26 @@ def evaluate_conformity(
     )
 
 
-def normalised_errors_of_files(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
+def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncertainty) -> list[tuple[str, float]]:
     """Pairs of ``task, result`` and E_n for every result that both files contain in the same unit.
 
     E_n applies to independent results, such as of two recordings or two instruments.
     """
-    others = {(r.task, r.name, r.unit): r for r in second.results}
-    both = [(r, others[key]) for r in first.results if (key := (r.task, r.name, r.unit)) in others]
+    others = {(r.task, r.name, r.unit): r for r in second_result.results}
+    pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
     return [
         (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
-        for r, o in both
+        for r, o in pairs
     ]
 
 
-def normalised_error(value: float, expanded: float, other: float, other_expanded: float) -> float:
+def normalised_error(
+    value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
+) -> float:
     """Normalised error E_n: difference divided by the root sum of squares of the expanded uncertainties.
 
     |E_n| <= 1 agrees (ISO 13528).
     """
-    together = float(np.hypot(expanded, other_expanded))
-    gap = value - other
+    together = float(np.hypot(expanded_uncertainty, other_expanded_uncertainty))
+    gap = value - other_value
     return gap / together if together > 0 else (0.0 if gap == 0 else float(np.copysign(np.inf, gap)))

@@ -60,9 +60,9 @@ def uncertainty(
         given = load_tasks(Path(tasks))
     if seed is not None:
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
-    listed = _load_coordinates(recording)
-    if listed is not None:
-        return evaluate_listed_tasks(listed, given).to_result
+    coordinates = _load_coordinates(recording)
+    if coordinates is not None:
+        return evaluate_listed_tasks(coordinates, given).to_result
     return evaluate_tasks(load_recording(recording), given).to_result  # type: ignore[arg-type]
 
 
@@ -117,12 +117,14 @@ def compare(
     lists = [
         coordinates for coordinates in (_load_coordinates(first), _load_coordinates(second)) if coordinates is not None
     ]
-    held = None if stable is None else name_tuple(stable)
+    stable_names = None if stable is None else name_tuple(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
         raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
     if len(lists) == 2:
-        return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
+        return compare_coordinates(
+            *lists, stable_names=stable_names, has_free_motions=free, with_scale=scaled, alpha=level
+        )
     if lists:
         raise ModelError("a list of coordinates is compared with another one alone")
     if free:
@@ -138,7 +140,7 @@ def compare(
     epochs = [
         adjust_epoch(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
     ]
-    return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
+    return compared(*epochs, stable_names=stable_names, with_scale=scaled, same_instrument=same_instrument, alpha=level)
 
 
 def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:

@@ -60,14 +60,16 @@ class NormalBlocks:
         return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
-    def concatenate(cls, parts: Sequence[NormalBlocks]) -> NormalBlocks:
+    def concatenate(cls, groups: Sequence[NormalBlocks]) -> NormalBlocks:
         """Union of several groups of set-ups."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
 
-    def with_replaced_station(self, station_index: int, other: NormalBlocks) -> NormalBlocks:
+    def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
         """Layout of these set-ups with another one (N = 1) as station `station_index`."""
         stations = np.arange(len(self.setup_positions))
-        return self.concatenate([self, other]).select(np.where(stations == station_index, len(stations), stations))
+        return self.concatenate([self, replacement]).select(
+            np.where(stations == station_index, len(stations), stations)
+        )
 
 
 def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
@@ -104,8 +106,11 @@ class LayoutScorer:
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment_construction()
-        whole = survey.replace(is_visible=np.ones_like(survey.is_visible))
-        pointings, state = whole.noise_free_recording(self.construction), whole.nominal_state(self.construction)
+        full_survey = survey.replace(is_visible=np.ones_like(survey.is_visible))
+        pointings, state = (
+            full_survey.noise_free_recording(self.construction),
+            full_survey.nominal_state(self.construction),
+        )
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
         problem = (
             Adjustment.from_plan(pointings, state, self.construction).problem
@@ -128,9 +133,9 @@ class LayoutScorer:
         self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
         rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
         other = to_dense(rows[: rows.shape[0] - self._n_free_motions])
-        at = problem.unknowns
-        values = np.concatenate([at.extra_columns[: self._n_nuisances], at.instrument_columns[0]])
-        self._fixed_blocks(other, at.target_columns, at.pose_columns, values)
+        unknowns = problem.unknowns
+        values = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
+        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, values)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
@@ -179,7 +184,7 @@ class LayoutScorer:
             target_names=survey.target_names,
         )
 
-    def whitened_rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
+    def whitened_rows(self, position: Floats, yaw: Floats, slot: Ints, is_visible: Bools) -> tuple[Floats, Floats]:
         """Whitened rows of N set-ups: derivatives (N, T, r, 3) by target, (N, T, r, 6 + P) by pose and parameters.
 
         They are zero for targets that are not `is_visible` (N, T). For effects that depend on time since the start, the
@@ -193,11 +198,11 @@ class LayoutScorer:
             by_target, by_value = by_target[first_rows:], by_value[first_rows:]
         else:
             by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
-        weight = (np.sqrt(self.survey.repeats) * visible)[:, :, None, None]
-        shape = (*visible.shape, 3 * len(self.survey.faces))
+        weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
+        shape = (*is_visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
-        turned = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
-        return t, np.concatenate([-t, turned, v], axis=3)
+        rotation_rows = t @ cross_matrix(self.survey.target_points[None] - position[:, None])
+        return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
@@ -218,7 +223,7 @@ class LayoutScorer:
         )
 
     def normal_blocks(
-        self, position: Floats, yaw: Floats, slot: Ints | None = None, visible: Bools | None = None
+        self, position: Floats, yaw: Floats, slot: Ints | None = None, is_visible: Bools | None = None
     ) -> NormalBlocks:
         """Contributions of N set-ups at `setup_positions` (N, 3) and `setup_yaws` (N,).
 
@@ -226,25 +231,29 @@ class LayoutScorer:
         T) marks the measured targets, default all.
         """
         at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
-        visible = np.ones((len(position), len(self.survey.target_points)), dtype=bool) if visible is None else visible
-        t, x = self.whitened_rows(position, yaw, at, visible)
-        flat = x.reshape(len(position), -1, x.shape[3])
+        is_visible = (
+            np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
+        )
+        t, x = self.whitened_rows(position, yaw, at, is_visible)
+        flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = determines_pose(self.survey.target_points, visible, self._plumb_directions[at])
-        return NormalBlocks(position, yaw, visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
+        return NormalBlocks(
+            position, yaw, is_visible, has_pose, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
+        )
 
     def evaluate_layouts(
-        self, blocks: NormalBlocks, chosen: Ints, *, with_target_errors: bool = False
+        self, blocks: NormalBlocks, setup_indices: Ints, *, with_target_errors: bool = False
     ) -> LayoutPrecision:
         """Information of B layouts, and target errors on request.
 
-        Each row of `chosen` (B, S) has indices into `normal_blocks`.
+        Each row of `setup_indices` (B, S) has indices into `normal_blocks`.
         """
-        schur, length, inverse, weights = self.eliminate_targets(blocks, chosen)
+        schur, length, inverse, weights = self.eliminate_targets(blocks, setup_indices)
         size = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
-        held = blocks.has_determined_pose[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
-        information[held] = self.marginal_information(schur[held], length[held])
+        has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
+        information[has_poses] = self.marginal_information(schur[has_poses], length[has_poses])
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.target_rms(
@@ -259,17 +268,17 @@ class LayoutScorer:
         """
         unit, scale = scale_to_unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
-        last = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
-        corner = roots[:, last, last] / scale[:, last, None]
+        parameter_slice = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
+        corner = roots[:, parameter_slice, parameter_slice] / scale[:, parameter_slice, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
-    def eliminate_targets(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+    def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared column norms (B, K) before elimination, and terms of eliminated targets.
 
         The terms are the inverse blocks (B, E, 3, 3) of the targets, and their products with the coupling blocks. The
         complement of a layout with an undetermined target is NaN.
         """
-        reduced, tt, tk = self._normal_matrices(blocks, chosen)
+        reduced, tt, tk = self._normal_matrices(blocks, setup_indices)
         if not self._used_observables.all():  # a whole sight places its target
             spread = np.linalg.eigvalsh(tt)
             open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
@@ -282,25 +291,25 @@ class LayoutScorer:
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
 
-    def _normal_matrices(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+    def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
         """Reduced block (B, K, K), blocks of the mesh targets (B, E, 3, 3), and coupling blocks (B, E, 3, K)."""
-        layouts, stations = chosen.shape
+        layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
         size = 6 * stations + 3 * gauge + params
         reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, size, size)).copy()
         tk = np.zeros((layouts, len(self.survey.target_points), 3, size))
         tt = np.zeros((layouts, len(self.survey.target_points), 3, 3))
-        last = slice(size - params, size)
+        parameter_slice = slice(size - params, size)
         for s in range(stations):
-            which = chosen[:, s]
+            which = setup_indices[:, s]
             at = slice(6 * s, 6 * s + 6)
             xx, tx = blocks.pose_blocks[which], blocks.coupling_blocks[which]
             reduced[:, at, at] += xx[:, :6, :6]
-            reduced[:, at, last] += xx[:, :6, 6:]
-            reduced[:, last, at] += xx[:, 6:, :6]
-            reduced[:, last, last] += xx[:, 6:, 6:]
+            reduced[:, at, parameter_slice] += xx[:, :6, 6:]
+            reduced[:, parameter_slice, at] += xx[:, 6:, :6]
+            reduced[:, parameter_slice, parameter_slice] += xx[:, 6:, 6:]
             tk[:, :, :, at] = tx[:, :, :, :6]
-            tk[:, :, :, last] += tx[:, :, :, 6:]
+            tk[:, :, :, parameter_slice] += tx[:, :, :, 6:]
             tt += blocks.target_blocks[which]
         for g, t in enumerate(self._gauge_targets):
             at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
@@ -308,7 +317,7 @@ class LayoutScorer:
             reduced[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
             reduced[:, at, at] += tt[:, t]
         if self._n_free_motions:
-            datum = self._datum_rows(blocks.setup_positions[chosen])
+            datum = self._datum_rows(blocks.setup_positions[setup_indices])
             pose_columns = slice(0, datum.shape[2])
             reduced[:, pose_columns, pose_columns] += np.swapaxes(datum, 1, 2) @ datum
         mesh = tt[:, self.mesh_targets] + self._fixed_target_blocks
@@ -339,8 +348,10 @@ class LayoutScorer:
 
     def requested_targets(self, mesh: Ints) -> Ints:
         """Indices of the targets in the survey whose variance `target_variance` returns, (1 or B, E + gauge)."""
-        at = np.atleast_2d(mesh)
-        return np.concatenate([at, np.broadcast_to(self._gauge_targets, (len(at), len(self._gauge_targets)))], axis=1)
+        indices = np.atleast_2d(mesh)
+        return np.concatenate(
+            [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
+        )
 
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets, with inner constraints over them.
@@ -366,14 +377,14 @@ class LayoutScorer:
         axes = 3 * (count + gauge)
         rows = motion.reshape(layouts, axes, self._n_free_motions)
         held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
-        flat = carry.reshape(layouts, axes, size)
-        constrained = flat - rows @ (held @ flat)
+        flattened = carry.reshape(layouts, axes, size)
+        constrained = flattened - rows @ (held @ flattened)
         part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
-        moved = np.einsum("beij,befj->beif", inverse, part)
-        common = np.einsum("befi,beig->bfg", part, moved)
+        response = np.einsum("beij,befj->beif", inverse, part)
+        common = np.einsum("befi,beig->bfg", part, response)
         variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
         variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._n_free_motions).sum(axis=2)
         variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
-            "beif,beif->be", motion[:, :count], moved
+            "beif,beif->be", motion[:, :count], response
         )
         return INTERNAL_LENGTH_UNIT**2 * variance

@@ -77,7 +77,7 @@ class LayoutInformation:
     def scaled_covariance(self) -> Floats:
         """Covariance of the instrument parameters in units of the prior sigmas, (p, p).
 
-        Without readings the identity.
+        It is the identity without readings.
         """
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
@@ -261,22 +261,22 @@ def _displacements_by_error(
     if unmodelled:
         space = ResidualSpace.from_adjustment(adjustment)
         errors = np.hstack([space.whitened_signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
-    used = np.flatnonzero(problem.used_readings.ravel())
+    is_used = np.flatnonzero(problem.used_readings.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
-    before = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
-    before[:, :count] = noise[:, used]
+    first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
+    first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
-    before[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
+    first_response[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
         information.prior_sigma, problem.extra_sigma
     )
-    before[:, len(columns_used) :] = noise[:, used] @ errors[:count]
-    after = before.copy()
-    after[:, count + lengths : len(columns_used)] = 0.0
-    after -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
-    labels = np.where(used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
+    first_response[:, len(columns_used) :] = noise[:, is_used] @ errors[:count]
+    second_response = first_response.copy()
+    second_response[:, count + lengths : len(columns_used)] = 0.0
+    second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
+    labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
     labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
     labels += [REFLECTORS_GROUP] * extra
-    return (before, after), labels + [e.name for e in unmodelled for _ in e.parameters]
+    return (first_response, second_response), labels + [e.name for e in unmodelled for _ in e.parameters]
 
 
 def _averaging_matrix(information: LayoutInformation) -> Floats:

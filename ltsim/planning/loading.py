@@ -167,31 +167,31 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 
 
-def _point_from_table(table: PointList, i: int, path: Path) -> PointEntry:
-    where: dict[str, Any] = {"file": path, "row": table.line_numbers[i]}
+def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
+    location: dict[str, Any] = {"file": path, "row": table.line_numbers[row]}
 
-    def optional_number(column: str, usual: float | None) -> float | None:
-        text = table.additional_columns[column][i] if column in table.additional_columns else ""
+    def optional_number(column: str, default: float | None) -> float | None:
+        text = table.additional_columns[column][row] if column in table.additional_columns else ""
         if not text:
-            return usual
-        value = parse_comma_number(text, column=column, **where)
+            return default
+        value = parse_comma_number(text, column=column, **location)
         if not (value > 0 or (value == 0 and column == "weight")):
-            raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
+            raise RecordError(f"found {value:g}, expected a positive number", column=column, **location)
         return value
 
-    place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[i] / MILLIMETRE).round(9).tolist(), strict=True))
+    place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[row] / MILLIMETRE).round(9).tolist(), strict=True))
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
-        raise RecordError("found nothing, expected a number", column=missing, **where)
-    group = table.additional_columns["group"][i] if "group" in table.additional_columns else ""
-    rest = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
+        raise RecordError("found nothing, expected a number", column=missing, **location)
+    group = table.additional_columns["group"][row] if "group" in table.additional_columns else ""
+    other_fields = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:
-        return PointEntry.model_validate({"name": table.names[i], "group": group, **place, **rest})
+        return PointEntry.model_validate({"name": table.names[row], "group": group, **place, **other_fields})
     except ValidationError as problem:
         first = problem.errors()[0]
         wanted = first["msg"].removeprefix("Value error, ")
         raise RecordError(
-            f"found {quoted_text(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
+            f"found {quoted_text(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **location
         ) from None
 
 

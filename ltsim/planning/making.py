@@ -67,13 +67,13 @@ def make_plan(
     heard = callbacks or SearchCallbacks()
     heard.on_progress("searching layouts", 0.0)
     search = _PlanSearch(PlanningProblem(file, scenario), jobs, heard)
-    best = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
-    if not np.isfinite(best.objective_value):
+    best_layout = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
+    if not np.isfinite(best_layout.objective_value):
         raise SetupError(UNDETERMINED_LAYOUT_MESSAGE)
     heard.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
-    made = evaluate_plan(search.file, scenario, best.survey)
+    made = evaluate_plan(search.file, scenario, best_layout.survey)
     heard.on_progress("check of tolerances and changes", 1.0)
-    values = search.layouts.get((len(best.survey.station_positions), len(best.survey.faces)), [])
+    values = search.layouts.get((len(best_layout.survey.station_positions), len(best_layout.survey.faces)), [])
     return replace(
         made,
         tradeoff_points=search.tradeoff_points(search.layouts),
@@ -103,7 +103,7 @@ class _PlanSearch:
         """Numbers of faces and of rounds that may be chosen."""
         return procedures(self.file, self.problem.scenario)
 
-    def _run_searches(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> LayoutsByCount:
+    def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
         """Layouts of the searches; the best so far is passed to the follower."""
         goal = self.file.goal
 
@@ -113,8 +113,10 @@ class _PlanSearch:
             self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {words}")
             self.callbacks.on_layout(survey)
 
-        def progress(done: float) -> None:
-            self.callbacks.on_progress("searching layouts", SEARCH_PROGRESS_FRACTION * share(done))
+        def progress(finished_fraction: float) -> None:
+            self.callbacks.on_progress(
+                "searching layouts", SEARCH_PROGRESS_FRACTION * report_progress(finished_fraction)
+            )
 
         made, stopped = run_searches(self.problem, tasks, self.jobs, progress, keep)
         self.layouts |= made
@@ -247,22 +249,22 @@ class _PlanSearch:
 
     def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
         """Best layout of every measuring procedure and number of repeats, in the order of cost."""
-        made = []
+        items = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
             for repeats in self.procedures[1]:
                 repeated = survey.replace(repeats=repeats)
                 objective = layout_objective(self.file, repeated)
-                made.append(
+                items.append(
                     TradeoffPoint(repeated, *objective_and_qualities(repeated, objective, self.problem.construction))
                 )
-        if not made:
+        if not items:
             return ()
-        made.sort(key=lambda option: (option.hours, option.objective_value))
-        best = np.minimum.accumulate([option.objective_value for option in made])
-        earlier = np.r_[np.inf, best[:-1]]
+        items.sort(key=lambda option: (option.hours, option.objective_value))
+        best_values = np.minimum.accumulate([option.objective_value for option in items])
+        earlier = np.r_[np.inf, best_values[:-1]]
         return tuple(
-            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(made, earlier, strict=True)
+            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(items, earlier, strict=True)
         )
 
 
@@ -322,9 +324,11 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     if reachable >= site.min_sights:
         return file
 
-    def layout_error(least: int) -> SetupError | None:
+    def layout_error(min_sights: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
-        searcher = LayoutSearcher(site.replace(min_sights=least), grid_step=step, n_yaws=1, n_heights=settings.heights)
+        searcher = LayoutSearcher(
+            site.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
+        )
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
         except SetupError as problem:

@@ -102,9 +102,9 @@ class LayoutObjective:
 
     def _instrument_quality(self, information: Floats) -> Floats:
         value = np.full(len(information), np.inf)
-        good = np.isfinite(information).all(axis=(1, 2))
-        if good.any():
-            value[good] = CRITERION_FUNCTIONS[self.criterion_name](np.asarray(np.linalg.inv(information[good])))
+        is_valid = np.isfinite(information).all(axis=(1, 2))
+        if is_valid.any():
+            value[is_valid] = CRITERION_FUNCTIONS[self.criterion_name](np.asarray(np.linalg.inv(information[is_valid])))
         return value
 
 
@@ -115,16 +115,16 @@ def mean_detectable_size(
     sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
     parameter_block = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)
-    good = np.isfinite(information).all(axis=(1, 2))
-    if not good.any():
+    is_valid = np.isfinite(information).all(axis=(1, 2))
+    if not is_valid.any():
         return value
-    carry = information[good, :parameters, parameters:]
-    effect_block = information[good, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(
-        parameter_block[good], carry
+    carry = information[is_valid, :parameters, parameters:]
+    effect_block = information[is_valid, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(
+        parameter_block[is_valid], carry
     )
     needed = np.concatenate(
         [[search_noncentrality(len(e.parameters), sought[e.name])] * len(e.parameters) for e in effects]
     )
     strength = np.maximum(np.einsum("bii->bi", effect_block), 1e-12)
-    value[good] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
+    value[is_valid] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
     return value

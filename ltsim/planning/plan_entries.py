@@ -74,7 +74,7 @@ class ReflectorEntry(Entry):
     sigma_um: OptionalFloat
     """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
     u_um: ComponentSizes = Field(default=(), alias="U_um")
-    """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
+    """Expanded uncertainty (k = 2) of x, y and z [um], relative to the mean of all points."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
@@ -161,9 +161,9 @@ class ImprovementEntry(Entry):
     """Reduction of the mean by the calibration."""
 
     @classmethod
-    def from_criteria(cls, expected: ExpectedCriteria) -> dict[str, Self]:
+    def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
         """Both criteria of one request, by name."""
-        e = expected
+        e = expected_criteria
         criteria = {
             "distance": (e.distance_before, e.distance_after, e.distance_improvement),
             "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
@@ -323,7 +323,7 @@ class DetectableSize(Entry):
     worst: OptionalFloat = None
     """Minimal detectable size at the worst place or shape."""
     worst_at: str = ""
-    """Worst place or shape: station, target or shape."""
+    """Station, target or shape with the largest minimal detectable size."""
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible: OptionalFloat = None

@@ -180,8 +180,8 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
         survey.station_positions,
         survey.target_points,
         search_space.sight_limits,
-        nest_normal=normal,
-        reaimed=~aimed,
+        nest_normals=normal,
+        is_reaimed=~aimed,
         obstacles=search_space.obstacles,
     )
 

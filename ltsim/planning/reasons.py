@@ -117,7 +117,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     ]
 
 
-def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int) -> list[str]:
+def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
@@ -129,16 +129,16 @@ def _count_result_clauses(tried: Sequence[StationCountResult], min_stations: int
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {min_stations} station{'s' if min_stations > 1 else ''}"
 
-    def came_of(text: str, same: Sequence[StationCountResult]) -> str:
-        first, last = same[0].n_stations, same[-1].n_stations
+    def came_of(text: str, results: Sequence[StationCountResult]) -> str:
+        first, last = results[0].n_stations, results[-1].n_stations
         nearest = (
-            f" (the closest layout lacks sights of {same[-1].unseen_points_text})"
-            if same[-1].unseen_points_text
+            f" (the closest layout lacks sights of {results[-1].unseen_points_text})"
+            if results[-1].unseen_points_text
             else ""
         )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"
 
-    return [came_of(text, list(same)) for text, same in groupby(tried, key=words)]
+    return [came_of(text, list(same)) for text, same in groupby(results, key=words)]
 
 
 def _air_sentence(plan: PlannedNetwork) -> list[str]:
@@ -190,20 +190,20 @@ def _quality_value_text(name: str, value: float) -> str:
     return f"{value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
 
 
-def _parameter_sentence(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[str]:
+def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
     pairs = list(
         zip(
             PlannedParameterEntry.from_information(reference.information),
-            PlannedParameterEntry.from_information(chosen.information),
+            PlannedParameterEntry.from_information(evaluation.information),
             strict=True,
         )
     )
     pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
     gained = [text for ratio, text in words[:4] if ratio > 1.05]
-    lost = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
+    worse_texts = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
     sentences = [f"Parameters whose sigma falls most: {'; '.join(gained)}."] if gained else []
-    return sentences + ([f"Parameters whose sigma rises: {'; '.join(lost)}."] if lost else [])
+    return sentences + ([f"Parameters whose sigma rises: {'; '.join(worse_texts)}."] if worse_texts else [])
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
@@ -235,10 +235,10 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules that limit the layout: floor, elevation, spacing."""
     survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, []
-    near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
+    is_near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
         survey.station_positions[None], site.min_station_spacing
     )
-    close = [(names[i], names[j]) for i, j in np.argwhere(near[0]).tolist()]
+    close = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
     if close:
         pairs = ", ".join(f"{first} and {second}" for first, second in close)
         sentences.append(f"{pairs} are at the minimum spacing of {site.min_station_spacing:g} m.")
@@ -263,16 +263,16 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
                 f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
                 "body, within the tolerance of its mesh, and are treated as on its surface."
             )
-    lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
-    if lost:
-        more = "; and more" if len(lost) > 3 else ""
-        sentences.append(f"{len(lost)} sights are blocked: {'; '.join(lost[:3])}{more}.")
+    lost_pairs = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
+    if lost_pairs:
+        more = "; and more" if len(lost_pairs) > 3 else ""
+        sentences.append(f"{len(lost_pairs)} sights are blocked: {'; '.join(lost_pairs[:3])}{more}.")
     return sentences
 
 
 def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
-    chosen = plan.layout.survey
-    return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
+    survey = plan.layout.survey
+    return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
 def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
@@ -339,12 +339,12 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     count = len(information.undetermined_combinations)
     if not count:
         return []
-    which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
+    phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
     measured = Counter(
         cure.partition(BENEFIT_PREFIX)[0] for cure in information.determining_sentences() if BENEFIT_PREFIX in cure
     )
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
-    return [f"{which} not determined by this layout (see the table){cure}."]
+    return [f"{phrase} not determined by this layout (see the table){cure}."]
 
 
 def _search_sentence(plan: PlannedNetwork) -> list[str]:

@@ -95,11 +95,11 @@ class _ChangeEvaluator:
         """True if the goal is the error of targets alone."""
         return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
 
-    def _objective_factors(self, totals: Floats, sets: Ints, common: Ints) -> Floats:
+    def _objective_factors(self, totals: Floats, sets: Ints, place_indices: Ints) -> Floats:
         """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
         if self._is_target_goal:
-            return self.normal_matrix_table.target_rms(totals, common) / self.normal_matrix_table.target_rms(
-                self.present_normal_matrix[None], common
+            return self.normal_matrix_table.target_rms(totals, place_indices) / self.normal_matrix_table.target_rms(
+                self.present_normal_matrix[None], place_indices
             )
         return self.normal_matrix_table.objective_values(totals, sets, self.objective) / self.present_objective
 
@@ -109,9 +109,9 @@ class _ChangeEvaluator:
         information = self.normal_matrix_table.information(total[None])[0, :size, :size]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
-    def _free_places(self, others: Ints) -> Ints:
+    def _free_places(self, used_places: Ints) -> Ints:
         """Places that are free and far enough from the reflectors in use."""
-        open_ = ~self.is_too_near[:, others].any(axis=1)
+        open_ = ~self.is_too_near[:, used_places].any(axis=1)
         open_[self.present_places] = False
         return np.flatnonzero(open_)
 
@@ -121,22 +121,24 @@ class _ChangeEvaluator:
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
-        def note(what: ChangeKind, taken: int | None, places: Ints) -> None:
+        def note(kind: ChangeKind, removed: int | None, places: Ints) -> None:
             """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
-            others = chosen if taken is None else np.delete(chosen, taken)
-            start = self.present_normal_matrix if taken is None else self.present_normal_matrix - terms[chosen[taken]]
+            others = chosen if removed is None else np.delete(chosen, removed)
+            start_matrix = (
+                self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
+            )
             sets = np.column_stack([np.tile(others, (len(places), 1)), places])
-            totals = start + terms[places]
-            if what == "remove":
-                sets, totals = others[None], start[None]
+            totals = start_matrix + terms[places]
+            if kind == "remove":
+                sets, totals = others[None], start_matrix[None]
             if not len(sets):
                 return
             values = self._objective_factors(totals, sets, others)
-            tried[what] += len(values)
-            helped[what] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
-            for k in np.argsort(values)[: 1 if what == "move" else None].tolist():
-                place = None if what == "remove" else int(places[k])
-                candidates[what].append((float(values[k]), taken, place, totals[k]))
+            tried[kind] += len(values)
+            helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
+            for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
+                place = None if kind == "remove" else int(places[k])
+                candidates[kind].append((float(values[k]), removed, place, totals[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free_places(np.delete(chosen, i)))
@@ -153,9 +155,9 @@ class _ChangeEvaluator:
         return ReflectorChanges(tuple(reported), tried, helped)
 
     def _make_change(
-        self, what: ChangeKind, value: float, taken: int | None, place: int | None, total: Floats
+        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, total: Floats
     ) -> PlanChange:
-        common = self.present_places if taken is None else np.delete(self.present_places, taken)
+        common = self.present_places if removed is None else np.delete(self.present_places, removed)
         before, after = self.normal_matrix_table.target_rms(np.stack([self.present_normal_matrix, total]), common)
         if self._is_target_goal:
             now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
@@ -165,11 +167,11 @@ class _ChangeEvaluator:
             ratios = dict(
                 zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
-        serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
+        serves = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
-        made = PlanChange(
-            do=what,
-            reflector="" if taken is None else names[taken],
+        change = PlanChange(
+            do=kind,
+            reflector="" if removed is None else names[removed],
             place="" if place is None else names[place],
             position_mm=None if place is None else to_millimetres(places[place]),
             gain_um=float(before - after) / MICROMETRE,
@@ -177,7 +179,7 @@ class _ChangeEvaluator:
             serves=serves,
             serves_factor=float(ratios[serves]),
         )
-        return made.model_copy(update={"words": _change_sentence(made)})
+        return change.model_copy(update={"words": _change_sentence(change)})
 
 
 def _change_sentence(change: PlanChange) -> str:
@@ -187,14 +189,14 @@ def _change_sentence(change: PlanChange) -> str:
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.serves_factor - 1)
-    most = "hardest on" if change.do == "remove" else "most for"
-    return f"{change.action_text}: quality {better}, {other}, {most} {change.serves} (sigma {sigma:+.1f} %)"
+    phrase = "hardest on" if change.do == "remove" else "most for"
+    return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
 
 
-def _best_per_place(best: list[ChangeResult]) -> list[ChangeResult]:
+def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:
     """Best change for each place, and all changes that need no place."""
     distinct, places = [], set()
-    for change in best:
+    for change in changes:
         if change[2] is None or change[2] not in places:
             distinct.append(change)
         places.add(change[2])

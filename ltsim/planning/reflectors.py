@@ -65,8 +65,8 @@ class NormalMatrixTable:
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        whole = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
-        _, _, inverse, weights = reducer.eliminate_targets(whole, slots[None])
+        all_blocks = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
+        _, _, inverse, weights = reducer.eliminate_targets(all_blocks, slots[None])
         length = length + np.sum(rows**2, axis=(0, 1))
         return cls(reducer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
 
@@ -78,42 +78,42 @@ class NormalMatrixTable:
         """Information (B, P, P) on the parameters; NaN for undetermined unknowns."""
         return self.scorer.marginal_information(totals, np.broadcast_to(self.squared_column_norms, totals.shape[:2]))
 
-    def target_rms(self, totals: Floats, asked: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of fixed targets and of reflectors at `asked` places, (n,) or (B, n).
-
-        These are (n,) or (B, n).
-        """
-        at = self._block_rows(len(totals), asked)
+    def target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
+        """Root mean square point error (B,) [m] of fixed targets and of reflectors at places (n,) or (B, n)."""
+        rows = self._block_rows(len(totals), place_indices)
         return self.scorer.target_rms(
-            totals, self.target_block_inverses[at], self.elimination_coefficients[at], self.scorer.mesh_targets[at]
+            totals,
+            self.target_block_inverses[rows],
+            self.elimination_coefficients[rows],
+            self.scorer.mesh_targets[rows],
         )
 
-    def target_sigma(self, total: Floats, asked: Ints) -> dict[str, float]:
+    def target_sigma(self, total: Floats, place_indices: Ints) -> dict[str, float]:
         """Point error [m] of these targets by name, for one normal matrix (K, K)."""
-        at, reducer = self._block_rows(1, asked), self.scorer
+        at, reducer = self._block_rows(1, place_indices), self.scorer
         variance = reducer.target_variance(
             total[None], self.target_block_inverses[at], self.elimination_coefficients[at], reducer.mesh_targets[at]
         )[0]
         names = [reducer.survey.target_names[t] for t in reducer.requested_targets(reducer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
-    def _block_rows(self, layouts: int, asked: Ints) -> Ints:
-        """Rows of `target_block_inverses` that belong to the fixed targets and the places `asked`, (B, fixed + n)."""
+    def _block_rows(self, layouts: int, place_indices: Ints) -> Ints:
+        """Rows of `target_block_inverses` that belong to the fixed targets and to places, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
-        asked = np.broadcast_to(asked, (layouts, np.shape(asked)[-1]))
-        return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + asked], axis=1)
+        place_indices = np.broadcast_to(place_indices, (layouts, np.shape(place_indices)[-1]))
+        return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + place_indices], axis=1)
 
-    def objective_values(self, totals: Floats, chosen: Ints, objective: LayoutObjective) -> Floats:
-        """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
+    def objective_values(self, totals: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
+        """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""
         information = self.information(totals)
         rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
-            rms[determined] = self.target_rms(totals[determined], chosen[determined])
+            rms[determined] = self.target_rms(totals[determined], place_indices[determined])
         return objective.objective_values(LayoutPrecision(information, rms), self.scorer.construction.n_parameters)
 
 
 def with_targets(
-    survey: PlannedSurvey, is_fixed: Bools, places: Floats, names: tuple[str, ...], visible: Bools
+    survey: PlannedSurvey, is_fixed: Bools, places: Floats, names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
     """Survey with the fixed targets and with reflectors at `places`."""
     keep = np.flatnonzero(is_fixed)
@@ -122,7 +122,7 @@ def with_targets(
     return survey.replace(
         target_names=(*(survey.target_names[k] for k in keep), *names),
         target_points=np.concatenate([survey.target_points[keep], places]),
-        is_visible=visible,
+        is_visible=is_visible,
         target_ranks=rank,
     )
 
@@ -170,9 +170,9 @@ class MovableReflectors:
             [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, good[: len(present)]]], axis=1
         )
         visible[:, : now.shape[1]] = now
-        wide = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
+        full_survey = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
         table = NormalMatrixTable.from_places(
-            survey, is_fixed, places, visible, LayoutScorer(wide, construction, objective.effects)
+            survey, is_fixed, places, visible, LayoutScorer(full_survey, construction, objective.effects)
         )
         return cls(places, names, int(good[: len(present)].sum()), visible, table)
 
@@ -239,27 +239,27 @@ def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, sp
 
 
 def _exchange_places(
-    table: NormalMatrixTable, objective: LayoutObjective, places: Floats, chosen: Ints, spacing: float
+    table: NormalMatrixTable, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
     """Indices of places after exchanges of single reflectors until none improves the objective (Fedorov)."""
-    chosen = chosen.copy()
-    total = table.normal_matrix(chosen)
-    value = float(table.objective_values(total[None], chosen[None], objective)[0])
+    place_indices = place_indices.copy()
+    total = table.normal_matrix(place_indices)
+    value = float(table.objective_values(total[None], place_indices[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
     for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
-        for i in range(len(chosen)):
-            others = np.delete(chosen, i)
-            free = np.setdiff1d(np.flatnonzero((gap[:, others] >= spacing).all(axis=1)), chosen)
+        for i in range(len(place_indices)):
+            others = np.delete(place_indices, i)
+            free = np.setdiff1d(np.flatnonzero((gap[:, others] >= spacing).all(axis=1)), place_indices)
             if not len(free):
                 continue
-            without = total - table.place_normal_matrices[chosen[i]]
+            without = total - table.place_normal_matrices[place_indices[i]]
             tried = np.insert(np.tile(others, (len(free), 1)), i, free, axis=1)
             values = table.objective_values(without + table.place_normal_matrices[free], tried, objective)
             best = int(np.argmin(values))
             if values[best] < value:
-                chosen[i], value = free[best], float(values[best])
-                total = without + table.place_normal_matrices[chosen[i]]
+                place_indices[i], value = free[best], float(values[best])
+                total = without + table.place_normal_matrices[place_indices[i]]
         if value > before * (1 - MIN_SWEEP_IMPROVEMENT):
             break
-    return chosen
+    return place_indices

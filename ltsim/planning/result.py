@@ -84,7 +84,7 @@ class Plan(ResultFile, LayoutEntry):
         """Result of a planned network."""
         sentences, few, judged = reason_sentences(network), cheapest_equal_option(network), network.verdict
         report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
-        made = cls.from_evaluation(
+        result = cls.from_evaluation(
             network.layout,
             network.tolerance_check,
             title=network.plan_file.title or network.scenario.title,
@@ -107,8 +107,8 @@ class Plan(ResultFile, LayoutEntry):
             confusable=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
             silent=report.undetectable_effects,
         )
-        made._network = network
-        return made
+        result._network = network
+        return result
 
     @property
     def network(self) -> PlannedNetwork:

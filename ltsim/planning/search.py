@@ -70,14 +70,14 @@ class LayoutSearcher:
         self._n_steps = 0
 
     def candidate_setups(
-        self, position: Floats, yaw: Floats, station_index: int, visible: Bools | None = None
+        self, position: Floats, yaw: Floats, station_index: int, is_visible: Bools | None = None
     ) -> NormalBlocks:
-        """Set-ups as alternatives for station `station_index`; `visible` (N, T) is computed unless given."""
-        visible, parts = self.search_space.is_visible(position) if visible is None else visible, []
+        """Set-ups as alternatives for station `station_index`; `is_visible` (N, T) is computed unless given."""
+        is_visible, parts = self.search_space.is_visible(position) if is_visible is None else is_visible, []
         for a in range(0, len(position), SETUPS_PER_BATCH):
             chunk = slice(a, a + SETUPS_PER_BATCH)
             slots = np.full(len(position[chunk]), station_index, dtype=np.int64)
-            parts.append(self.scorer.normal_blocks(position[chunk], yaw[chunk], slots, visible[chunk]))
+            parts.append(self.scorer.normal_blocks(position[chunk], yaw[chunk], slots, is_visible[chunk]))
             self._report_step()
         return NormalBlocks.concatenate(parts)
 
@@ -132,16 +132,18 @@ class LayoutSearcher:
     def _objective_of(self, layout: NormalBlocks) -> float:
         return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
 
-    def _objectives_of(self, blocks: NormalBlocks, chosen: Ints) -> Floats:
-        """Objective (B,) of layouts; each row of `chosen` (B, S) has indices into `blocks`."""
+    def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
+        """Objective (B,) of layouts; each row of `setup_indices` (B, S) has indices into `blocks`."""
         values = [
             self.objective.objective_values(
                 self.scorer.evaluate_layouts(
-                    blocks, chosen[a : a + SETUPS_PER_BATCH], with_target_errors=self.objective.needs_target_errors
+                    blocks,
+                    setup_indices[a : a + SETUPS_PER_BATCH],
+                    with_target_errors=self.objective.needs_target_errors,
                 ),
                 self.construction.n_parameters,
             )
-            for a in range(0, len(chosen), SETUPS_PER_BATCH)
+            for a in range(0, len(setup_indices), SETUPS_PER_BATCH)
         ]
         return np.concatenate(values) if values else np.zeros(0)
 
@@ -167,8 +169,8 @@ class LayoutSearcher:
         """Best candidate for station `station_index` and its objective; infinite if all candidates break a rule."""
         self._report_step()
         values = self.replacement_objectives(layout, station_index, candidates)
-        best = int(np.argmin(values))
-        return best, float(values[best])
+        best_index = int(np.argmin(values))
+        return best_index, float(values[best_index])
 
     def _exchange_sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]

@@ -133,10 +133,10 @@ class SearchSpace(ValueEquality):
             )
         return good
 
-    def is_feasible(self, position: Floats, visible: Bools) -> Bools:
-        """Flags (B,) of the layouts (B, S, 3) that meet all rules (spacing, targets, nests); `visible` is (B, S, T)."""
-        good: Bools = np.asarray(~has_too_few_sights(visible, self.min_sights).any(axis=1))
-        good &= ~has_too_few_targets(visible).any(axis=1)
+    def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
+        """Flags (B,) of the layouts (B, S, 3) with sights (B, S, T) that meet all rules (spacing, targets, nests)."""
+        good: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
+        good &= ~has_too_few_targets(is_visible).any(axis=1)
         good &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
         if self.is_aimed_nest.any() and good.any():
             good[good] = self._has_aimed_nest(position[good]).all(axis=1)
@@ -168,13 +168,13 @@ class SearchSpace(ValueEquality):
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules on sights that a layout breaks, from its `is_visible`."""
         visible, targets, rules = survey.is_visible[None], survey.target_names, []
-        few = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
-        if few:
+        deficient_names = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
+        if deficient_names:
             verb, stations = (
-                "is" if len(few) == 1 else "are",
+                "is" if len(deficient_names) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MAX_NAMES_IN_RULE_TEXT)
+            named = listing(deficient_names, MAX_NAMES_IN_RULE_TEXT)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
@@ -195,9 +195,9 @@ class SearchSpace(ValueEquality):
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
-    def connectivity(self, visible: Bools) -> Floats:
+    def connectivity(self, is_visible: Bools) -> Floats:
         """Number of stations connected to the first by two common targets, plus mean number of common targets, (B,)."""
-        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
+        shared = np.minimum(np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
@@ -209,12 +209,14 @@ class SearchSpace(ValueEquality):
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
         return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
 
-    def invisible_targets_sentence(self, hidden: Ints) -> str:
+    def invisible_targets_sentence(self, target_indices: Ints) -> str:
         """Sentence on targets that no place on the floor sees, with a remedy."""
         held = (
-            hidden[self.obstacles.is_inside_body(self.survey.target_points[hidden])] if self.obstacles else hidden[:0]
+            target_indices[self.obstacles.is_inside_body(self.survey.target_points[target_indices])]
+            if self.obstacles
+            else target_indices[:0]
         )
-        names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
+        names, within = ([self.survey.target_names[t] for t in indices] for indices in (target_indices, held))
         low, high = (1e3 * height for height in self.head_heights)
         cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
@@ -225,10 +227,14 @@ class SearchSpace(ValueEquality):
             f"mm; {cure}"
         )
 
-    def unseen_targets_text(self, placement: StationPlacement, chosen: list[int]) -> str:
+    def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
-        few = np.flatnonzero(placement.missing_sights(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MAX_NAMES_IN_RULE_TEXT) if len(few) else ""
+        deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
+        return (
+            listing([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
+            if len(deficient_names)
+            else ""
+        )
 
     def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
@@ -242,11 +248,11 @@ class SearchSpace(ValueEquality):
         """
         places, fixed = self.grid_places(step, heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
-        enough = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
-        if not enough.any():
+        is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
+        if not is_sufficient.any():
             raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
-        return StationPlacement(places[enough], visible[enough], self.min_station_spacing, fixed, counted)
+        return StationPlacement(places[is_sufficient], visible[is_sufficient], self.min_station_spacing, fixed, counted)
 
 
 @dataclass(frozen=True)
@@ -272,18 +278,25 @@ class StationPlacement:
         With `random_generator` each station is at the best of a few random places, so that each draw gives another
         result.
         """
-        chosen: list[int] = []
-        while len(chosen) < n_stations and (place := self._best_place(chosen, wanted_sights, random_generator)) >= 0:
-            chosen.append(place)
-        if len(chosen) == n_stations and not self.missing_sights(chosen, wanted_sights).any():
-            return chosen
-        return self._optimal_places(n_stations, wanted_sights, random_generator) or chosen
+        place_indices: list[int] = []
+        while (
+            len(place_indices) < n_stations
+            and (place := self._best_place(place_indices, wanted_sights, random_generator)) >= 0
+        ):
+            place_indices.append(place)
+        if len(place_indices) == n_stations and not self.missing_sights(place_indices, wanted_sights).any():
+            return place_indices
+        return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
-    def missing_sights(self, chosen: list[int], wanted_sights: int) -> Ints:
+    def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
         """Number of missing sights of each target, (T,), until it has `wanted_sights`."""
-        return np.asarray(np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[chosen].sum(axis=0), 0))
+        return np.asarray(
+            np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
+        )
 
-    def _best_place(self, others: list[int], wanted_sights: int, random_generator: np.random.Generator | None) -> int:
+    def _best_place(
+        self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
+    ) -> int:
         """Place that adds most missing sights, with a small weight for sights beyond the wanted number.
 
         It is -1 if no place is permitted.
@@ -294,14 +307,14 @@ class StationPlacement:
             if random_generator is None
             else random_generator.integers(count, size=min(N_PLACEMENT_DRAWS, count))
         )
-        had = self.n_fixed_sights + self.is_visible[others].sum(axis=0)
+        had = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
         worth = (
             (np.minimum(had + self.is_visible[rows], wanted_sights) - np.minimum(had, wanted_sights))
             .sum(axis=1)
             .astype(np.float64)
         )
         worth += 1e-3 * (self.is_visible[rows] / (1.0 + had) ** 2).sum(axis=1)
-        for place in (*self.fixed_positions, *self.candidate_positions[others]):
+        for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
             worth[np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing] = -1.0
         return int(rows[np.argmax(worth)]) if worth.max(initial=-1.0) >= 0.0 else -1
 

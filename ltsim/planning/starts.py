@@ -63,44 +63,46 @@ class PlanningProblem:
     def make_searcher(
         self,
         site: SearchSpace,
-        tell: Callable[[float], None] = no_progress,
-        keep: Callable[[StationLayout], None] = no_progress,
+        report_progress: Callable[[float], None] = no_progress,
+        store_layout: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
         """Search in a search space for the file's objective."""
         settings, objective = self.file.search, layout_objective(self.file, site.survey)
         step = grid_step(site.allowed_areas, settings.grid_mm)
-        return LayoutSearcher(site, objective, self.construction, step, settings.yaws, settings.heights, tell, keep)
+        return LayoutSearcher(
+            site, objective, self.construction, step, settings.yaws, settings.heights, report_progress, store_layout
+        )
 
 
 def run_searches(
     problem: PlanningProblem,
     tasks: Sequence[SearchTask],
     jobs: int,
-    share: Callable[[float], None],
-    keep: Callable[[PlannedSurvey, float], None],
+    report_progress: Callable[[float], None],
+    store_survey: Callable[[PlannedSurvey, float], None],
 ) -> tuple[LayoutsByCount, bool]:
     """Layouts of all searches, and True if Ctrl-C ended them; results are collected as searches end.
 
-    `share` is called with the finished fraction, `keep` with each better layout and its objective. With one job the
-    search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
+    `report_progress` is called with the finished fraction, `store_layout` with each better layout and its objective.
+    With one job the search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
     """
-    best: dict[int, RatedLayout] = {}
+    best_by_task: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
-    def better(number: int, value: float, survey: PlannedSurvey) -> None:
+    def better(task_number: int, value: float, survey: PlannedSurvey) -> None:
         nonlocal reported, last
-        best[number] = value, survey
+        best_by_task[task_number] = value, survey
         if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
             reported, last = value, monotonic()
-            keep(survey, value)
+            store_survey(survey, value)
 
-    def running(number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
+    def running(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
         """Callbacks of a search in this process: finished fraction, better layout."""
-        site = problem.search_space(tasks[number])
+        site = problem.search_space(tasks[task_number])
         return (
-            lambda part: share((finished + part) / len(tasks)),
+            lambda part: report_progress((finished + part) / len(tasks)),
             lambda layout: better(
-                number, layout.objective_value, _with_moved_stations(site, layout.positions, layout.yaws)
+                task_number, layout.objective_value, _with_moved_stations(site, layout.positions, layout.yaws)
             ),
         )
 
@@ -108,17 +110,17 @@ def run_searches(
     work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
         for number, layout in run_parallel(
-            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, ordered=False
+            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, keeps_order=False
         ):
             finished += 1
-            share(finished / len(tasks))
-            best.pop(number, None)
+            report_progress(finished / len(tasks))
+            best_by_task.pop(number, None)
             if layout is not None:
                 better(number, *layout)
     except KeyboardInterrupt:
         stopped = True
     layouts: LayoutsByCount = {}
-    for number, (value, survey) in sorted(best.items()):
+    for number, (value, survey) in sorted(best_by_task.items()):
         task = tasks[number]
         layouts.setdefault((task.n_stations, task.n_faces), []).append((value, task.start_number, survey))
     return layouts, stopped
@@ -127,28 +129,28 @@ def run_searches(
 def _layout_of_start(
     problem: PlanningProblem,
     task: SearchTask,
-    number: int,
-    tell: Callable[[float], None] = no_progress,
-    keep: Callable[[StationLayout], None] = no_progress,
+    task_number: int,
+    report_progress: Callable[[float], None] = no_progress,
+    store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, RatedLayout | None]:
     """Layout of one start; None if the rules permit none, or if ranges from too few stations determine none."""
     try:
-        return number, search_from_start(problem, task, tell, keep)
+        return task_number, search_from_start(problem, task, report_progress, store_layout)
     except (SetupError, NetworkError):
-        return number, None
+        return task_number, None
 
 
-def _layout_in_worker(problem: PlanningProblem, task: SearchTask, number: int) -> tuple[int, RatedLayout | None]:
+def _layout_in_worker(problem: PlanningProblem, task: SearchTask, task_number: int) -> tuple[int, RatedLayout | None]:
     """Layout of one start in a worker process, which ignores Ctrl-C and leaves it to the main process."""
     signal(SIGINT, SIG_IGN)
-    return _layout_of_start(problem, task, number)
+    return _layout_of_start(problem, task, task_number)
 
 
 def search_from_start(
     problem: PlanningProblem,
     task: SearchTask,
-    tell: Callable[[float], None] = no_progress,
-    keep: Callable[[StationLayout], None] = no_progress,
+    report_progress: Callable[[float], None] = no_progress,
+    store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> RatedLayout:
     """Layout of a start: search of stations, of reflectors if these are movable, and of stations again."""
     site, stays, seed = (
@@ -157,7 +159,7 @@ def search_from_start(
         problem.file.search.seed,
     )
     rounds, done = 1 if stays.all() else 1 + N_ALTERNATIONS, 0
-    searcher = problem.make_searcher(site, lambda share: tell((done + share) / rounds), keep)
+    searcher = problem.make_searcher(site, lambda share: report_progress((done + share) / rounds), store_layout)
     layout = searcher.search_from(seed, task.start_number)
     survey = _with_moved_stations(site, layout.positions, layout.yaws)
     while done < rounds - 1:

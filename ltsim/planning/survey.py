@@ -149,11 +149,11 @@ class PlannedSurvey:
             np.degrees(self.station_yaws).tolist(),
             strict=True,
         )
-        declared = {
+        station_by_name = {
             name: self.setup.stations.get(name, Station()).model_copy(update={"position_mm": tuple(p), "yaw_deg": yaw})
             for name, p, yaw in places
         }
-        return self.setup.model_copy(update={"stations": declared})
+        return self.setup.model_copy(update={"stations": station_by_name})
 
     def _empty_recording(self) -> Recording:
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)

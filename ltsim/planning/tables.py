@@ -11,8 +11,8 @@ PLANNED_STATIONS_TABLE = Table(
     "places of the tripods",
     (
         *texts(station="name"),
-        *numbers(shown=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
-        *numbers(shown=".0f", yaw_deg="direction of azimuth zero"),
+        *numbers(display_format=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
+        *numbers(display_format=".0f", yaw_deg="direction of azimuth zero"),
         *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
         *numbers(visible_reflectors="number of visible reflectors"),
     ),
@@ -90,7 +90,11 @@ TOLERANCES_TABLE = Table(
     "points against their tolerances",
     (
         *texts(point="name"),
-        *numbers(shown=".5g", within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
+        *numbers(
+            display_format=".5g",
+            within_mm="error at the confidence level of the goal",
+            tolerance_mm="limit of the error",
+        ),
         *texts(used="error divided by the limit, with enough digits to show its side of the limit"),
         *flags(met="the tolerance is met"),
     ),

@@ -87,7 +87,7 @@ def point_weights(file: PlanFile) -> dict[str, float]:
     }
 
 
-def error_radius(covariance: Floats, level: float) -> Floats:
+def error_radius(covariance: Floats, coverage: float) -> Floats:
     """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `confidence_level`.
 
     The squared length of a normal error is a weighted sum of chi-squares; its quantile is that of the scaled chi-square
@@ -97,7 +97,7 @@ def error_radius(covariance: Floats, level: float) -> Floats:
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
     freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, level))
+    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, coverage))
 
 
 @dataclass(frozen=True)
@@ -164,9 +164,9 @@ class ToleranceCheck:
             "is" if len(self.unseen_points) == 1 else "are",
             listing(self.unseen_points, MAX_POINTS_IN_VERDICT),
         )
-        parts = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
+        clauses = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
         if not self.error_by_point:
-            parts.append(UNDETERMINED_TEXT)
+            clauses.append(UNDETERMINED_TEXT)
         if self.exceeding_points:
             worst, many = max(self.exceeding_points, key=self.tolerance_ratio), len(self.exceeding_points) > 1
             points = (
@@ -174,8 +174,8 @@ class ToleranceCheck:
                 if many
                 else "1 point exceeds its tolerance"
             )
-            parts.append(f"{points} ({'worst ' if many else ''}{self.point_text(worst)})")
-        return ", ".join(parts)
+            clauses.append(f"{points} ({'worst ' if many else ''}{self.point_text(worst)})")
+        return ", ".join(clauses)
 
     def point_text(self, name: str) -> str:
         """Text of a point with its error and its tolerance."""
@@ -198,10 +198,10 @@ def check_tolerances(
     except NetworkError:
         return ToleranceCheck(lost_text, tolerances.tolerance_by_point, {}, np.inf, "", unseen)
     names = information.survey.target_names
-    every = dict(
+    radius_by_name = dict(
         zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
     )
-    radii = {name: every[name] for name in tolerances.tolerance_by_point if name in every}
+    radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point if name in radius_by_name}
     ratios = {name: value / tolerances.tolerance_by_point[name] for name, value in radii.items()}
     worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
@@ -251,9 +251,9 @@ def feasibility_and_ratio(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
 ) -> tuple[bool, float]:
     """Flag that a survey meets its tolerances (after any single loss if required), and the largest ratio."""
-    whole = check_tolerances(survey, tolerances, construction)
-    if not whole.meets_all or tolerances.withstood_loss == "no":
-        return whole.meets_all, whole.max_ratio
+    verdict = check_tolerances(survey, tolerances, construction)
+    if not verdict.meets_all or tolerances.withstood_loss == "no":
+        return verdict.meets_all, verdict.max_ratio
     worst = max(
         loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
     )
@@ -262,7 +262,7 @@ def feasibility_and_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan, common to search, moves, planner and page."""
+    """Verdict on a layout by the rules and tolerances of its plan; search, planner and page use the same one."""
 
     is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""

@@ -74,7 +74,7 @@ def plan(
     >>> made.to_dataframe("stations").shape
     (3, 9)
     """
-    check_bounds(starts=starts, seed=seed, jobs=jobs, required="jobs")
+    check_bounds(starts=starts, seed=seed, jobs=jobs, required_argument="jobs")
     check_mapping("move", move)
     file, scenario = load_plan_and_scenario(source)
     if move is not None:
@@ -247,7 +247,7 @@ def _station_index(survey: PlannedSurvey, name: str) -> int:
 
 
 def _evaluate_alternative(
-    problem: PlanningProblem, site: SearchSpace, survey: PlannedSurvey, words: str, move: str = ""
+    problem: PlanningProblem, site: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
 ) -> StationAlternative:
     """Alternative layout, evaluated by the rules and tolerances, or by its worst point if there are none."""
     demands, built, broken = (
@@ -260,12 +260,12 @@ def _evaluate_alternative(
         losses = checks_after_required_losses(survey, demands, built)
         ratio = max([check.max_ratio, *([loss.max_ratio for loss in losses] if demands.withstood_loss != "no" else [])])
         judgement = plan_verdict(demands, check, losses, broken)
-        return StationAlternative(words, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)
+        return StationAlternative(description, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)
     check = check_tolerances(survey, PointTolerances(dict.fromkeys(survey.target_names, np.inf)), built)
     rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
     if not check.error_by_point or check.unseen_points:
-        return StationAlternative(words, survey, rules + check.open_points_clause, np.inf, False, move)
+        return StationAlternative(description, survey, rules + check.open_points_clause, np.inf, False, move)
     worst = max(check.error_by_point, key=lambda name: check.error_by_point[name])
     size = check.error_by_point[worst]
     text = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
-    return StationAlternative(words, survey, text, size, not broken, move)
+    return StationAlternative(description, survey, text, size, not broken, move)

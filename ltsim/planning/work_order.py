@@ -88,8 +88,8 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     recording = survey.noise_free_recording(built)
     sightings = sightings_of(recording, survey.nominal_state(built))
     sigma = survey.nominal_noise(sightings) * survey.used_observables
-    flat = sightings.range_ * np.cos(sightings.elevation)
-    error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
+    horizontal = sightings.range_ * np.cos(sightings.elevation)
+    error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)
     settings = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
@@ -114,7 +114,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     return tuple(settings)
 
 
-def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
+def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
     """Marks for tape distances to a station, in order of preference.
 
     They are first those within reach of a tape, then along the floor, then the nearest.
@@ -135,11 +135,11 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[Tap
     reachable = {mark.end_name for mark in level}
     straight = [
         TapeDistance.from_station(*targets[t], place, floor=False)
-        for t in np.flatnonzero(visible)
+        for t in np.flatnonzero(is_visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
-    return sorted(every, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
+    candidates = [mark for mark in (*level, *straight) if mark.length > MIN_TAPE_DISTANCE]
+    return sorted(candidates, key=lambda mark: (mark.length > MAX_TAPE_DISTANCE, not mark.is_along_floor, mark.length))[
         :MAX_CONSIDERED_MARKS
     ]
 
@@ -175,27 +175,27 @@ def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> st
     if (firm := position_firmness(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
-    at = np.array([mark.end_point[:2] for mark in tapes])
-    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
-    first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
+    end_points = np.array([mark.end_point[:2] for mark in tapes])
+    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
+    first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     along = (second - first) / np.linalg.norm(second - first)
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
-    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
+    misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
     if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
 
 
-def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
+def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:
     """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
     survey = plan.layout.survey
-    way = survey.target_points[visible] - place
+    way = survey.target_points[is_visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
-    best = int(np.argmin(np.abs(off)))
-    name = survey.target_names[np.flatnonzero(visible)[best]]
-    degrees = round(abs(float(off[best])) / DEGREE)
-    return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
+    best_index = int(np.argmin(np.abs(off)))
+    name = survey.target_names[np.flatnonzero(is_visible)[best_index]]
+    degrees = round(abs(float(off[best_index])) / DEGREE)
+    return name if degrees == 0 else f"{degrees}° {'right' if off[best_index] > 0 else 'left'} of {name}"
 
 
 def check_sentences(plan: PlannedNetwork) -> list[str]:

@@ -35,9 +35,11 @@ from ltsim.simulation.workshop import (
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
 RANGES_ONLY = ("distance",)
+"""Observables of an instrument that measures distances only."""
 MIN_RANGE_STATIONS = 3
 """Number of stations whose ranges determine a reflector."""
 NO_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+"""Placing without deviations: stations, targets and gauge stand exactly as planned."""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
@@ -192,14 +194,18 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     return np.concatenate(points) * MILLIMETRE, tuple(names)
 
 
-def _places_on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
+def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
     """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
-    if body == WALLS_NAME:
+    if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
+        triangles = np.concatenate(
+            [part.triangles for part in placed_obstacles(scenario) if part.name == obstacle_name]
+        )
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS_NAME)
+    places = candidate_nest_places(
+        triangles, standoff, spacing, make_obstacles(scenario), is_closed=obstacle_name != WALLS_NAME
+    )
     return np.asarray(np.round(places / MILLIMETRE))
 
 

@@ -41,11 +41,13 @@ MIN_MISFIT_RATIO = 10.0
 MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
 MAX_LISTED_NOTES = 3
+"""Largest number of rows or notes that a message lists."""
 MIN_PLAUSIBLE_PACE_S = 0.1
 """Shortest plausible median time [s] between consecutive targets; below it a question about the clock is asked."""
 MAX_PLAUSIBLE_PACE_S = 7200.0
 """Longest plausible median time [s] between consecutive targets; above it a question about the clock is asked."""
 MIN_TARGET_CHANGES = 8
+"""Smallest number of changes of the target for which the median time between targets is judged."""
 
 
 @dataclass(frozen=True)
@@ -168,10 +170,10 @@ def _convention_from_faces(
 ) -> tuple[tuple[AngleUnit, VerticalKind], str] | None:
     """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
     counts = [_count_two_face_pairs(table, angle, vertical) for angle, vertical in open_]
-    best = int(np.argmax(counts))
-    if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
+    best_index = int(np.argmax(counts))
+    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best_index]:
         return None
-    return open_[best], f"{counts[best]} targets in two faces add up accordingly"
+    return open_[best_index], f"{counts[best_index]} targets in two faces add up accordingly"
 
 
 def _convention_from_lengths(
@@ -226,7 +228,7 @@ def azimuth_sense_from_points(
 
     Raises RecordError if they do not decide.
     """
-    points = read_points(file, strict=False)
+    points = read_points(file, requires_all=False)
     place = {name: i for i, name in enumerate(targets)}
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
     azimuth = _azimuth_sense_by_alignment(local, table, places)
@@ -259,7 +261,7 @@ def _azimuth_sense_by_alignment(
     return _majority_sense(votes)
 
 
-def _misfits(source: Floats, goal: Floats) -> list[float]:
+def _misfits(source: Floats, goal_points: Floats) -> list[float]:
     """Median misfits [m] of points (n, 3), and of their mirror image, to other points after a rigid alignment.
 
     A misfit is 1 if no alignment exists.
@@ -268,8 +270,8 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
         try:
-            rotation, shift = align_rigidly(image, goal)
-            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
+            rotation, shift = align_rigidly(image, goal_points)
+            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal_points, axis=1))) + 1e-9)
         except NetworkError:
             misfits.append(1.0)
     return misfits
@@ -309,8 +311,8 @@ def _majority_sense(votes: list[int]) -> AzimuthSense | None:
 
 def clock_question(recording: Recording) -> tuple[str, ...]:
     """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
-    turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
-    steps = np.abs(np.diff(recording.time))[turned]
+    is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
+    steps = np.abs(np.diff(recording.time))[is_change]
     steps = steps[np.isfinite(steps)]
     if not recording.has_clock or len(steps) < MIN_TARGET_CHANGES:
         return ()
@@ -329,9 +331,9 @@ def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
-    where = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
+    listed_rows = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
     return (
-        f"{where}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
+        f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 

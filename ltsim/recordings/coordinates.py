@@ -87,7 +87,7 @@ class PointList:
         return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
-def read_points(path: str | Path, *, strict: bool = True) -> PointList:
+def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
     """List of points from a file.
 
     Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
@@ -95,7 +95,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> PointList:
     Parameters
     ----------
     path : str or Path
-    strict : bool
+    requires_all : bool
         Refuse a point that is listed twice with other coordinates; otherwise the first are used and a note reports it.
 
     Raises
@@ -107,7 +107,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> PointList:
     for sheet in read_sheets(path):
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
-            return _PointRowReader(sheet, *header).points(strict=strict)
+            return _PointRowReader(sheet, *header).points(requires_all=requires_all)
     raise RecordError(f"is not a list of coordinates, {EXPECTED_CONTENT}", file=path)
 
 
@@ -163,16 +163,16 @@ def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] |
 
 
 class _PointRowReader:
-    """Rows of a sheet from row `start` on, with the meaning of its columns."""
+    """Rows of a sheet from row `first_row` on, with the meaning of its columns."""
 
-    def __init__(self, sheet: TableSheet, start: int, columns: list[TableColumn]) -> None:
-        self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
+    def __init__(self, sheet: TableSheet, first_row: int, columns: list[TableColumn]) -> None:
+        self.sheet, self.rows, self.columns = sheet, sheet.rows[first_row:], columns
         self.width = columns[-1].position + 1
         sigmas = ("sigma", "covariance")
         self.numbers = {c.role: c for c in self.columns if c.role in COORDINATE_ROLES or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
 
-    def points(self, *, strict: bool) -> PointList:
+    def points(self, *, requires_all: bool) -> PointList:
         """Points in these rows."""
         self.sheet.require_complete_end(self.width)
         listed: dict[str, tuple[SheetRow, list[float]]] = {}
@@ -184,7 +184,7 @@ class _PointRowReader:
             name, values = self._values(row)
             if name in listed and not np.array_equal(listed[name][1], values, equal_nan=True):
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
-                if strict:
+                if requires_all:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
                 ignored.append((listed[name][1], values))
@@ -233,16 +233,16 @@ class _PointRowReader:
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
-def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
+def _covariance(numbers: Mapping[str, Floats], n_axes: int) -> Floats:
     """Covariance (n, 3, 3) [m^2] from a full matrix, standard deviations by axis, or one for all axes."""
     if "covariance 0" in numbers:
-        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
+        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_axes, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
     sigma = [
-        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(count, np.nan)))
+        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(n_axes, np.nan)))
         for axis in COORDINATE_ROLES
     ]
-    covariance = np.zeros((count, 3, 3))
+    covariance = np.zeros((n_axes, 3, 3))
     covariance[:, range(3), range(3)] = np.square(sigma).T
     covariance[~np.isfinite(sigma).any(axis=0)] = np.nan
     return covariance

@@ -58,9 +58,9 @@ class FileFormat:
 
 
 def _make_format(
-    module: ModuleType, name: str, about: str, *suffixes: str, write: WriteFunction | None = None
+    module: ModuleType, name: str, description: str, *suffixes: str, write: WriteFunction | None = None
 ) -> FileFormat:
-    return FileFormat(name, about, suffixes, module.recognises, module.read, write)
+    return FileFormat(name, description, suffixes, module.recognises, module.read, write)
 
 
 def _is_list_of_points(path: Path, head: str) -> bool:
@@ -68,7 +68,7 @@ def _is_list_of_points(path: Path, head: str) -> bool:
 
 
 def _point_list_error(path: Path, hints: Hints) -> Recording:
-    listed = coordinates.read_points(path, strict=False)
+    listed = coordinates.read_points(path, requires_all=False)
     count, repeated = len(listed.names), listed.n_contradictory_rows
     names = "one name" if count == 1 else f"{count} names"
     if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in listed.names):
@@ -81,8 +81,8 @@ def _point_list_error(path: Path, hints: Hints) -> Recording:
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     else:
         message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
-    raise RecordError(f"{message} ({more})", file=path)
+    phrase = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+    raise RecordError(f"{message} ({phrase})", file=path)
 
 
 FORMATS: tuple[FileFormat, ...] = (

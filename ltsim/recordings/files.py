@@ -14,7 +14,9 @@ from ltsim.core.storage import write_files
 MAX_RECORDING_NAME_LENGTH = 100
 """Largest number of characters of a name in a recording."""
 MAX_NUMBER_LENGTH = 40
+"""Largest number of characters of a cell that is read as a number."""
 MAX_TEXT_LENGTH = 500
+"""Largest number of characters of a name or text that is read."""
 MAX_RECORDING_TITLE_LENGTH = 120
 """Largest number of characters of a title of a recording."""
 UTF8_MARK = b"\xef\xbb\xbf"
@@ -60,33 +62,33 @@ def decode_head(content: bytes) -> str:
         return content.removeprefix(UTF8_MARK).decode("latin-1")
 
 
-def read_text(path: Path, *, liberal: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
+def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
     """Text of a file of at most `max_bytes` bytes, in UTF-8 or UTF-16.
 
-    With `liberal` any other encoding is read as Windows-1252.
+    With `replaces_undecodable` any other encoding is read as Windows-1252.
     """
     content = read_bytes(path, max_bytes)
     if content.startswith(UTF16_MARKS):
         content = decode_head(content).encode()
-    elif b"\x00" in content[1:2] and liberal:
+    elif b"\x00" in content[1:2] and replaces_undecodable:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
         raise RecordError("contains binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        if liberal:
+        if replaces_undecodable:
             return content.decode("latin-1" if _UNDEFINED_BYTES & {*content} else "cp1252")
         line = content[: problem.start].count(b"\n") + 1
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
 
-def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
+def read_lines(path: Path, *, replaces_undecodable: bool = False) -> list[str]:
     """Lines of a text file without their line breaks (Unix, Windows or old Macintosh).
 
     Raises RecordError for more than `MAX_TEXT_LINES` of them, or one of more than `MAX_LINE_CHARACTERS`.
     """
-    text = with_unix_line_ends(read_text(path, liberal=liberal))
+    text = with_unix_line_ends(read_text(path, replaces_undecodable=replaces_undecodable))
     if text.count("\n") > MAX_TEXT_LINES:
         raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=path)
     lines = text.split("\n")

@@ -60,6 +60,7 @@ COLUMN_BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
+"""Smallest and largest permitted number of each column, in the unit of its name."""
 FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Units in headings of further columns, in addition to the units of ltsim."""
 
@@ -173,15 +174,15 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
 
 def _check_header(header: Sequence[str], file: Path) -> None:
     """Check that every required column occurs once and in the right unit."""
-    where = SourceLocation(file, 0)
+    location = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise where.error("the header contains ';' or tabs, expected commas between columns")
+        raise location.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
-        where.text(name)
+        location.text(name)
         if not name:
-            raise where.error(f"column {i + 1} has no name")
+            raise location.error(f"column {i + 1} has no name")
         if name in header[:i]:
-            raise where.error("this column appears twice in the header", name)
+            raise location.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
@@ -189,28 +190,28 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *FURTHER_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
-            raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
+            raise location.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
     for name in REQUIRED_COLUMNS:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
             hint = f" ('{quoted_text(near[0])}' looks like it)" if near else ""
-            raise where.error(f"the required column {name} is missing{hint}")
+            raise location.error(f"the required column {name} is missing{hint}")
 
 
-def _integer_column(column: list[str], where: SourceLocation, bounds: tuple[int, int]) -> Ints:
+def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
     numbers: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise replace(where, row=column.index(text) + 1).error(f"found '{quoted_text(text)}', expected {wanted}")
+            raise replace(location, row=column.index(text) + 1).error(f"found '{quoted_text(text)}', expected {wanted}")
         numbers[text] = int(text)
     return np.array([numbers[text] for text in column], dtype=np.int64)
 
 
-def _float_column(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
+def _float_column(column: list[str], location: SourceLocation, *, optional: bool = True) -> Floats:
     """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
-    low, high = COLUMN_BOUNDS.get(where.column or "", (-1e15, 1e15))
+    low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
     filled = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled]
@@ -219,10 +220,10 @@ def _float_column(column: list[str], where: SourceLocation, *, optional: bool = 
         if np.all((values[filled] >= low) & (values[filled] <= high)):
             return values
     for i in filled:  # to name the first that is wrong
-        here = replace(where, row=i + 1)
+        here = replace(location, row=i + 1)
         values[i] = here.number(column[i], limit=1e15)
         if not low <= values[i] <= high:
-            hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
+            hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < values[i] < 400 else ""
             raise here.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return values
 
@@ -310,8 +311,8 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
 
 
 def _similar_names(name: str, names: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
-    return f"; did you mean {', '.join(near)}?" if near else ""
+    similar = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(similar)}?" if similar else ""
 
 
 def write_recording(recording: Recording, path: Path) -> None:

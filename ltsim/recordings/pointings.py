@@ -23,6 +23,7 @@ from ltsim.recordings.recording import (
 from ltsim.recordings.setup import Setup
 
 NOT_MEASURED = float("nan")
+"""Value of a reading that was not measured."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
 _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
@@ -199,7 +200,7 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         for name, change in observation.shared.items()
     }
     over_marks = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
-    flat = "distance" in row and row["distance"].horizontal
+    is_horizontal = "distance" in row and row["distance"].horizontal
     lines = sorted({observation.line for observation in row.values() if observation.line})
     first = next(iter(row.values()))
     return Pointing(
@@ -208,7 +209,7 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         1,
         **{kind: observation.value for kind, observation in row.items()},
         covariates={name: value for name, value in (sigmas | over_marks | shared).items() if value == value},
-        labels={KIND_COLUMN: "horizontal"} if flat else {},
+        labels={KIND_COLUMN: "horizontal"} if is_horizontal else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
 
@@ -226,10 +227,12 @@ def separate_constant_heights(
         height_of = dict(values)
         settled = all(height_of[name] == height for name, height in values)
         constant.append({name: height for name, height in height_of.items() if height} if settled else {})
-        pointings = [replace(p, covariates=_without_column(p.covariates, column, settled=settled)) for p in pointings]
+        pointings = [
+            replace(p, covariates=_without_column(p.covariates, column, uses_column=settled)) for p in pointings
+        ]
     return list(pointings), constant[0], constant[1]
 
 
-def _without_column(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
-    rest = {name: value for name, value in covariates.items() if name != column}
-    return rest if settled else {**rest, column: covariates.get(column, 0.0)}
+def _without_column(covariates: dict[str, float], column: str, *, uses_column: bool) -> dict[str, float]:
+    others = {name: value for name, value in covariates.items() if name != column}
+    return others if uses_column else {**others, column: covariates.get(column, 0.0)}

@@ -37,7 +37,10 @@ MODE_COLUMN = "distance_mode"
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
+MAX_TIME = 2e18
+"""Largest time of a pointing [s]: also an epoch in nanoseconds that is read as seconds (1.8e18) is smaller."""
 MIN_COS_ELEVATION = 1e-6
+"""Smallest cosine of the elevation by which a length across the beam is divided, to avoid division by zero."""
 MAX_COS_STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).
@@ -103,13 +106,13 @@ class Recording(Result):
     """File and line of each row; empty for a native recording, whose rows are those of its table."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite; raises ModelError."""
-        wrong = np.flatnonzero(~np.isfinite(np.asarray(self.time, dtype=np.float64)))
+        """Check that all times are finite and of a possible size; raises ModelError."""
+        wrong = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME))
         if len(wrong):
             row, value = int(wrong[0]) + 1, self.time[wrong[0]]
             raise ModelError(
-                f"the time of row {row} is {value}, expected finite seconds; of a recording without a clock give "
-                "time=np.arange(n) and has_clock=False"
+                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME:g}; of a recording without a "
+                "clock give time=np.arange(n) and has_clock=False"
             )
 
     def __len__(self) -> int:
@@ -275,11 +278,11 @@ class Recording(Result):
             sources=tuple(self.sources[i] for i in keep) if self.sources else (),
         )
 
-    def thin(self, every: int) -> Recording:
-        """The recording with one of `every` pointings of each sight: of a station to a target on a face."""
-        return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % every == 0)
+    def thin(self, row_step: int) -> Recording:
+        """The recording with one of `row_step` pointings of each sight: of a station to a target on a face."""
+        return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
-    def require_at_most(self, pointings: int, work: str) -> None:
+    def require_at_most(self, pointings: int, command: str) -> None:
         """Check of the number of pointings; raises NetworkError, with the command that thins the recording."""
         pointings = max_pointings(pointings)
         if len(self) <= pointings:
@@ -292,8 +295,8 @@ class Recording(Result):
                 advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
                 break
         raise NetworkError(
-            f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}; on a machine with "
-            f"more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
+            f"the recording holds {len(self)} pointings; {command} takes at most {pointings}: {advice}; on a machine "
+            f"with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
         )
 
     def with_readings(self, readings: Floats) -> Recording:

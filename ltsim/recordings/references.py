@@ -84,7 +84,7 @@ class ReferenceLengths:
 
 
 def _growth_and_changes(
-    recording: Recording, line: GaugeDistance, where: dict[str, Any]
+    recording: Recording, line: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
     """Growth factor of a length, and its change by one standard deviation of its coefficient and its thermometer."""
     if line.measured_in_place:
@@ -93,34 +93,36 @@ def _growth_and_changes(
     materials = gauge.materials or {}
     if line.material is not None and line.material not in materials:
         expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
-        raise RecordError(f"the material '{quoted_text(line.material)}' is not declared, expected {expected}", **where)
+        raise RecordError(
+            f"the material '{quoted_text(line.material)}' is not declared, expected {expected}", **location
+        )
     material = gauge if line.material is None else materials[line.material]
     given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
-    measured = _mean_of_column(recording, given, line, where) if isinstance(given, str) else given
+    measured = _mean_of_column(recording, given, line, location) if isinstance(given, str) else given
     sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
     ends = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
     thermometer = f"temperature of {given if isinstance(given, str) else ends or 'the gauge'}"
     grown = ThermalExpansion.from_temperature(
         material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    both = {
+    changes = {
         f"{EXPANSION_ERROR_PREFIX}{line.material or 'the gauge'}": grown.change_by_coefficient,
         thermometer: grown.change_by_temperature,
     }
-    return grown.length_ratio, {name: change for name, change in both.items() if change}
+    return grown.length_ratio, {name: change for name, change in changes.items() if change}
 
 
-def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
+def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, location: dict[str, Any]) -> float:
     """Mean of a column over the pointings to both ends of a length."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
-        raise RecordError(message, **where)
-    ends = [recording.targets.index(target) for target in (line.from_, line.to)]
-    values = recording.covariates[name][np.isin(recording.target, ends)]
+        raise RecordError(message, **location)
+    end_targets = [recording.targets.index(target) for target in (line.from_, line.to)]
+    values = recording.covariates[name][np.isin(recording.target, end_targets)]
     if not np.isfinite(values).any():
         message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
-        raise RecordError(message, **where)
+        raise RecordError(message, **location)
     return float(np.nanmean(values))
 
 

@@ -22,7 +22,7 @@ def smr_names(recording: Recording) -> tuple[str, ...]:
 def excess_radii_of_names(
     names: Sequence[str],
     targets: Sequence[str],
-    bare: Collection[str],
+    names_without_smr: Collection[str],
     reflectors: Mapping[str, Reflector],
     reference_mm: float | None,
     file: object = None,
@@ -30,19 +30,19 @@ def excess_radii_of_names(
     """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
 
     A pointing without SMR ('' in `names`), such as a planned one, has the reference: `reference_mm`, else the common
-    radius of all SMRs. Nests of `bare` targets have no normal. `file` is named in errors.
+    radius of all SMRs. Nests of `names_without_smr` targets have no normal. `file` is named in errors.
 
     Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR of another
     radius was in a nest without normal.
     """
-    used = [name for name in dict.fromkeys(names) if name]
-    for name in used:
+    names_used = [name for name in dict.fromkeys(names) if name]
+    for name in names_used:
         if name not in reflectors:
             names_of_tables = ", ".join(reflectors)
             raise RecordError(
                 f"there is no table [reflectors.{quoted_text(name)}]; reflectors: {names_of_tables}", file=file
             )
-    radii = {reflectors[name].radius_mm: name for name in reversed(used)}
+    radii = {reflectors[name].radius_mm: name for name in reversed(names_used)}
     if reference_mm is None and len(radii) > 1:
         listed = " and ".join(f"{quoted_text(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
@@ -51,9 +51,9 @@ def excess_radii_of_names(
             file=file,
         )
     reference = next(iter(radii), 0.0) if reference_mm is None else reference_mm
-    off = {name: reflectors[name].radius_mm - reference for name in used} | {"": 0.0}
+    off = {name: reflectors[name].radius_mm - reference for name in names_used} | {"": 0.0}
     for name, target in zip(names, targets, strict=True):
-        if off[name] and target in bare:
+        if off[name] and target in names_without_smr:
             raise RecordError(
                 f"targets.{target}.nest_normal is missing: its SMR {quoted_text(name)} has a radius of "
                 f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
@@ -72,9 +72,9 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
     if not setup.reflectors:
         return None
     targets = [recording.targets[t] for t in recording.target]
-    bare = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
+    targets_without_smr = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
     excess = excess_radii_of_names(
-        smr_names(recording), targets, bare, setup.reflectors, setup.reference_radius_mm, file
+        smr_names(recording), targets, targets_without_smr, setup.reflectors, setup.reference_radius_mm, file
     )
     return excess if np.any(excess) else None
 

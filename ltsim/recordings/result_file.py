@@ -176,12 +176,12 @@ def recording_digest(recording: Recording) -> str:
     """Digest of stations, targets and faces, and of the readings rounded to a micrometre and a microradian."""
     readings = recording.readings
     steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
-    whole = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
+    rounded_steps = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
         for s, t, face in zip(recording.station, recording.target, recording.face, strict=True)
     ]
-    return _digest("\n".join(names).encode() + whole.tobytes())
+    return _digest("\n".join(names).encode() + rounded_steps.tobytes())
 
 
 ResultFileType = TypeVar("ResultFileType", bound=ResultFile)

@@ -77,19 +77,19 @@ def check_toml_limits(text: str, file: object) -> None:
 
 def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
     """Set-up from a table of settings; `file` is named in errors."""
-    whole = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
-    setup = validate_settings(whole, Setup, "set-up", file)
+    tables = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
+    setup = validate_settings(tables, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
-def with_completed_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+def with_completed_instruments(data: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
     """Tables of a file in which each instrument's table is replaced by `filled(table, place)`."""
     made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
-        made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
+        made["instruments"] = {name: complete(table, f"instruments.{name}") for name, table in named.items()}
     if "instrument" in data:
-        made["instrument"] = filled(data["instrument"], "instrument")
+        made["instrument"] = complete(data["instrument"], "instrument")
     return made
 
 
@@ -110,8 +110,10 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Table with the entries of `defaults` as defaults; nested tables are merged recursively."""
-    both = [key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
-    return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in both}}
+    common_keys = [
+        key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)
+    ]
+    return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in common_keys}}
 
 
 def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:
@@ -243,10 +245,10 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     return [(node, choices(node)) for node in nodes]
 
 
-def _schema_below(node: JsonSchema, part: str) -> JsonSchema | None:
+def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
     """Schema below one part of a path: a named entry, any entry, or the entry of a list."""
-    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
-    below = below or (node.get("items") if part.isdecimal() else None)
+    below = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
+    below = below or (node.get("items") if path_part.isdecimal() else None)
     return below if isinstance(below, dict) else None
 
 
@@ -261,8 +263,8 @@ def setup_to_toml(setup: Setup) -> str:
     table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
-    named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
-    table["instruments"] = named
+    by_name = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = by_name
     if setup.gauge is not None:
         lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
         table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}

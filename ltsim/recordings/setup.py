@@ -10,7 +10,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from ltsim.recordings.about import About as About
 from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.keys import (
     EXACT_LEVEL_ARCSEC as EXACT_LEVEL_ARCSEC,
     MIN_SIGMA as MIN_SIGMA,
@@ -306,19 +308,6 @@ class BenchTest(TomlSection):
         return self
 
 
-class About(TomlSection):
-    """Header of a report, table `[report]`; it has no influence on results."""
-
-    instrument: Line | None = None
-    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; default those of the instruments."""
-    date: Date | None = None
-    """Day of the measurement, year-month-day."""
-    operator: Line | None = None
-    """Name of the operator."""
-    customer: Line | None = None
-    """Name of the customer."""
-
-
 class Setup(TomlSection):
     """Contents of `setup.toml`."""
 
@@ -344,6 +333,8 @@ class Setup(TomlSection):
     """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
     deviation, such as [0.13, 0.1]; if given, the network estimates the coefficient.
     """
+    centring: tuple[CentringUncertainty, ...] = ()
+    """Centring errors of the targets, one table `[[centring]]` each."""
     air: AirUncertainty | None = None
     """Uncertainty of the air along the beams, a table `[air]`; the default values of its keys are for halls."""
     report: About | None = None

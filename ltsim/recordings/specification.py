@@ -186,8 +186,8 @@ def noise_and_prior_tables(
     Raises ModelError when there is no such sheet, or a value is neither in it nor in `declared_tables`.
     """
     published = data_sheet_figures(name)
-    whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
-    exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
+    specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
+    exact = {"noise": specification.noise.model_dump(), "prior": specification.prior.model_dump(exclude={"parameters"})}
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
     if any(key not in published for key in REQUIRED_LIMITS):
         declared = {

@@ -61,9 +61,9 @@ def _n_sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
 
 def _readings_text(recording: Recording) -> str:
     counts = recording.is_measured.sum(axis=0)
-    flat = " (horizontal ones)" if recording.is_horizontal.any() else ""
+    suffix = " (horizontal ones)" if recording.is_horizontal.any() else ""
     distances = (
-        f"{counts[0]} distances{flat} of {_range_text(recording.readings[:, 0], '.4g')} m"
+        f"{counts[0]} distances{suffix} of {_range_text(recording.readings[:, 0], '.4g')} m"
         if counts[0]
         else "no distances"
     )

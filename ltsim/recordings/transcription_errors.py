@@ -101,11 +101,11 @@ MAX_RIGHT_DISAGREEMENT = 2e-4
 
 def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
     """Mean position of each target in each station's frame, by their indices; rows (n, 3) with NaN are ignored."""
-    good = np.all(np.isfinite(points), axis=1)
+    is_valid = np.all(np.isfinite(points), axis=1)
     count = int(target.max(initial=0)) + 1
-    keys, place = np.unique(station[good] * count + target[good], return_inverse=True)
+    keys, place = np.unique(station[is_valid] * count + target[is_valid], return_inverse=True)
     mean = np.zeros((len(keys), 3))
-    np.add.at(mean, place, points[good])
+    np.add.at(mean, place, points[is_valid])
     mean /= np.bincount(place, minlength=len(keys))[:, None]
     clouds: dict[int, dict[int, Floats]] = {}
     for key, point in zip(keys.tolist(), mean, strict=True):
@@ -162,12 +162,12 @@ def require_degrees_and_millimetres(
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
     sums = _two_face_sums(elevation, station, target, face)
-    middle = float(np.median(sums)) if len(sums) else float("nan")
+    median = float(np.median(sums)) if len(sums) else float("nan")
     for slip in UNIT_ERRORS:
         expected = _face_sum_with_error(slip)
-        if expected is not None and abs(middle - expected) < 0.005 * expected:
+        if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
-                f"the two faces add up to {middle:.4g}, which looks like {slip.wrong_content}; "
+                f"the two faces add up to {median:.4g}, which looks like {slip.wrong_content}; "
                 "expected elevations in degrees, where they add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
@@ -201,22 +201,22 @@ def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> Transcrip
         return None
     angular = [slip for slip in UNIT_ERRORS if 0 not in slip.columns]
     gaps = [length_disagreement(from_polar(slip.without_error(readings)), station, target) for slip in angular]
-    best = int(np.argmin(gaps))
-    return angular[best] if gaps[best] < MAX_RIGHT_DISAGREEMENT else None
+    best_index = int(np.argmin(gaps))
+    return angular[best_index] if gaps[best_index] < MAX_RIGHT_DISAGREEMENT else None
 
 
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:
     angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
     if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
         return
-    wide = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
+    exceeds = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured_columns * [MILLIMETRE, 1.0, 1.0]
     as_radians = length_disagreement(from_polar(readings), station, target)
     as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
-    if any(wide) and not as_degrees <= as_radians:
-        values = angles[wide.index(True)]
+    if any(exceeds) and not as_degrees <= as_radians:
+        values = angles[exceeds.index(True)]
         looks = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
-        column = "azimuth_deg" if wide[0] else "elevation_deg"
+        column = "azimuth_deg" if exceeds[0] else "elevation_deg"
         raise SourceLocation(file, column=column).error(f"{looks}; expected degrees")
 
 

@@ -175,9 +175,9 @@ def band_matrix_entries(node: XmlNode, size: float, band: float, values: Sequenc
     The error names `node` if the number of values does not match the size and the band width.
     """
     rows = np.arange(min(int(size), len(values)))
-    last = np.minimum(rows + max(int(band), 0), int(size) - 1)
-    counts = last - rows + 1
+    last_columns = np.minimum(rows + max(int(band), 0), int(size) - 1)
+    counts = last_columns - rows + 1
     if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
         raise node.location.error("a <cov-mat> whose numbers do not match dim and band")
-    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last, strict=True)])
+    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last_columns, strict=True)])
     return np.repeat(rows, counts), column, np.array(values)

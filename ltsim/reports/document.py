@@ -195,11 +195,11 @@ class Section:
     def terminal_text(self) -> str:
         """Text for a terminal: answer, facts, sentences, tables, next actions."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.key_figures)
-        parts = [self.simulation_notice, self.summary, facts, *map(_block_text, self.blocks[: self.n_terminal_blocks])]
-        parts += (
+        blocks = [self.simulation_notice, self.summary, facts, *map(_block_text, self.blocks[: self.n_terminal_blocks])]
+        blocks += (
             ["\n".join(["What to do next:", *(f"- {line}" for line in self.next_actions)])] if self.next_actions else []
         )
-        return "\n\n".join(filter(None, parts))
+        return "\n\n".join(filter(None, blocks))
 
 
 @dataclass(frozen=True)
@@ -269,12 +269,12 @@ def entries_table(
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in rows]
-    chosen = frozenset(i for i, row in enumerate(rows) if is_marked is not None and is_marked(row))
+    marked_rows = frozenset(i for i, row in enumerate(rows) if is_marked is not None and is_marked(row))
     return table_block(
         title,
         results.Table("", "", tuple(columns)).with_rows(cells),
         note=note,
-        marked_rows=chosen,
+        marked_rows=marked_rows,
         is_foldable=is_foldable,
     )
 

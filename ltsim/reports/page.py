@@ -81,18 +81,18 @@ RESULT_FILES = (
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
-def section_of_part(part: PagePart, detail: WorkshopDetail = "none") -> Section:
+def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Section:
     """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
-    if part.result_file == OBSERVATIONS_FILE:
-        return recording_section(part.folder, detail=detail, is_brief=part.is_brief)
-    if part.result_file == CAMPAIGN_MANIFEST:
+    if page_part.result_file == OBSERVATIONS_FILE:
+        return recording_section(page_part.folder, detail=detail, is_brief=page_part.is_brief)
+    if page_part.result_file == CAMPAIGN_MANIFEST:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
 
-        return campaign_section(part.folder)
-    content = read_content(part.folder, part.result_file)
-    recording = read(part.recording) if part.recording else None
-    made = result_section(content, ReportContext(part.folder, recording, detail, part.is_brief))
+        return campaign_section(page_part.folder)
+    content = read_content(page_part.folder, page_part.result_file)
+    recording = read(page_part.recording) if page_part.recording else None
+    made = result_section(content, ReportContext(page_part.folder, recording, detail, page_part.is_brief))
     return replace(made, measured_on=(content.recording and content.recording.measured) or made.measured_on)
 
 
@@ -132,9 +132,9 @@ def _page_actions(sections: list[Section]) -> list[str]:
     return list(dict.fromkeys(first.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
 
 
-def _header_lines(parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
+def _header_lines(page_parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
-    folders = dict.fromkeys(part.recording for part in parts if part.recording)
+    folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [read_setup(place / SETUP_FILE) for place in folders if (place / SETUP_FILE).is_file()]
     reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
@@ -175,7 +175,7 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     ]
 
 
-def _part_sections(parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
+def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
     """Parts with their sections; the first recording is shown in 3D, others from above.
 
     The recording of a diagnosis alone is also shown from above, unless there is a truth, to keep its page small. A
@@ -183,13 +183,13 @@ def _part_sections(parts: list[PagePart], page_folder: Path) -> Iterator[tuple[P
     """
     shown: set[Path | str | None] = set()
     flat = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
-    for part in parts:
+    for part in page_parts:
         source = part.recording or _recording_digest(part)
         detail: WorkshopDetail = "none" if source in shown and source else "plan" if shown or flat else "turn"
         try:
             made = section_of_part(part, detail)
         except LtsimError as problem:
-            if part.folder == page_folder or len(parts) == 1:
+            if part.folder == page_folder or len(page_parts) == 1:
                 raise
             made = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
         if {block.title for block in made.blocks} & {"Floor plan", "The workshop in 3D"}:
@@ -197,12 +197,12 @@ def _part_sections(parts: list[PagePart], page_folder: Path) -> Iterator[tuple[P
         yield part, made
 
 
-def _recording_digest(part: PagePart) -> str:
+def _recording_digest(page_part: PagePart) -> str:
     """Digest of the recording of a part; empty if a result names none."""
     try:
-        if part.result_file == OBSERVATIONS_FILE:
-            return recording_digest(read(part.folder))
-        named = read_json(part.folder / part.result_file, "result")["recording"]["digest"]
+        if page_part.result_file == OBSERVATIONS_FILE:
+            return recording_digest(read(page_part.folder))
+        named = read_json(page_part.folder / page_part.result_file, "result")["recording"]["digest"]
     except (LtsimError, KeyError, TypeError, OSError):
         return ""
     return str(named)

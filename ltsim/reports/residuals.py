@@ -124,23 +124,25 @@ class Residuals:
         """Residuals from a `residuals.csv`; raises RecordError if a column is missing or a field is not a number."""
         return cls.from_table(RESIDUALS_TABLE.parse_csv(read_text(file), file), file)
 
-    def with_covariates(self, other: Residuals | None) -> Residuals:
-        """The residuals with the covariates of the same observations in `other`, if given."""
-        if other is None:
+    def with_covariates(self, source: Residuals | None) -> Residuals:
+        """The residuals with the covariates of the same observations in `reference`, if given."""
+        if source is None:
             return self
-        at = self._indices_in(other)
-        covariates = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
+        at = self._indices_in(source)
+        covariates = {name: np.append(column, np.nan)[at] for name, column in source.covariates.items()}
         return replace(self, covariates=covariates)
 
-    def normalised_by_noise_of(self, other: Residuals) -> Residuals:
-        """The residuals, normalised by the standard deviations of `other`."""
-        sigma = np.append(other.sigma, np.nan)[self._indices_in(other)]
+    def normalised_by_noise_of(self, reference: Residuals) -> Residuals:
+        """The residuals, normalised by the standard deviations of `reference`."""
+        sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
-    def _indices_in(self, other: Residuals) -> Ints:
-        """Indices (n,) of the same observations in `other`; -1 if missing."""
-        place = {key: i for i, key in enumerate(zip(other.data_row.tolist(), other.observable.tolist(), strict=True))}
+    def _indices_in(self, reference: Residuals) -> Ints:
+        """Indices (n,) of the same observations in `reference`; -1 if missing."""
+        place = {
+            key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
+        }
         keys = zip(self.data_row.tolist(), self.observable.tolist(), strict=True)
         return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
 

@@ -21,6 +21,7 @@ WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
+"""Largest number of arrows of a scene; the longest are drawn."""
 MAX_METRE_LINES = 200
 """Largest number of metre lines on the floor; a larger hall has none."""
 MAX_OMITTED_NAMES = 4

@@ -94,8 +94,8 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; write_png(), write_html() or show()
     """
-    check_choice("cad_unit", cad_unit, tuple(UNIT_WORDS), optional=True)
-    check_choice("cad_up", cad_up, ("y", "z"), optional=True)
+    check_choice("cad_unit", cad_unit, tuple(UNIT_WORDS), allow_none=True)
+    check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
     shown = _workshop_of(source).with_sights_by(colour)

@@ -45,9 +45,9 @@ def tracker_presets_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> st
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 
 
-def count_text(number: int, singular: str, plural: str = "") -> str:
+def count_text(count: int, singular: str, plural: str = "") -> str:
     """Number with noun: `1 station`, `5 stations`."""
-    return f"{number} {singular if number == 1 else plural or singular + 's'}"
+    return f"{count} {singular if count == 1 else plural or singular + 's'}"
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:
@@ -55,9 +55,9 @@ def natural_sort_key(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def as_sentence(words: str) -> str:
+def as_sentence(text: str) -> str:
     """Text as a sentence, with a capital letter and a full stop."""
-    return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
 def typographic_text(text: str) -> str:
@@ -70,12 +70,15 @@ def typographic_text(text: str) -> str:
     return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
 
 
-def global_test_verdict(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
-    """Verdict of the global test at 1 % on each side, and its text; `p` is the probability of a larger chi-square."""
-    if dof <= 0 or p is None or not math.isfinite(p):
+def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[bool, str]:
+    """Verdict of the global test at 1 % on each side, and its text; `p_value` is that of a larger chi-square."""
+    if dof <= 0 or p_value is None or not math.isfinite(p_value):
         return True, "the model cannot be tested, because there is no redundancy"
-    agrees, tested = two_sided(p) >= AGREEMENT_LEVEL, f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p))})"
-    if not agrees and p > 0.5:
+    agrees, tested = (
+        two_sided(p_value) >= AGREEMENT_LEVEL,
+        f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p_value))})",
+    )
+    if not agrees and p_value > 0.5:
         return False, f"the scatter of the readings is smaller than the declared noise {tested}"
     verb = "agree" if agrees else "do not agree"
     return agrees, f"the readings {verb} with the model and the declared noise {tested}"

@@ -114,9 +114,9 @@ class PlacedWorkshop(ValueEquality):
         angle = np.arccos(np.clip(cosine[with_normal], -1.0, 1.0)) / DEGREE
         return DrawnSights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
 
-    def with_sights_by(self, by: str) -> PlacedWorkshop:
+    def with_sights_by(self, quantity: str) -> PlacedWorkshop:
         """Workshop with lines of sight coloured by 'incidence' or 'residual'; unchanged if not available."""
-        sights = self.incidence_sights() if by == "incidence" else None
+        sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
@@ -163,7 +163,7 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
     height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
     planes = _find_wall_planes(points, normal) if planned else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
-    at = {name: i for i, name in enumerate(network.targets)}
+    index_by_name = {name: i for i, name in enumerate(network.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
     floor = _floor_rectangle(np.concatenate([points, position])[:, :2], planes)
     return replace(
@@ -175,7 +175,11 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
-        gauge_pairs=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
+        gauge_pairs=tuple(
+            (index_by_name[g.from_], index_by_name[g.to])
+            for g in lengths
+            if g.from_ in index_by_name and g.to in index_by_name
+        ),
         elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
         target_covariances=None if network.target_covariances is None else turn @ network.target_covariances @ turn.T,
         target_corrections=None if network.target_corrections is None else network.target_corrections @ turn.T,
@@ -222,14 +226,14 @@ def _floor_rectangle(positions: Floats, planes: list[tuple[int, float, float]]) 
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: float, high: float) -> Floats:
-    """Corners (W, 4, 3) of walls between heights `low` and `high` over the sides of the floor."""
+def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, lower: float, upper: float) -> Floats:
+    """Corners (W, 4, 3) of walls between heights `lower` and `upper` over the sides of the floor."""
     walls = np.zeros((len(planes), 4, 3))
     for wall, (axis, _, place) in zip(walls, planes, strict=True):
         begin, end = floor[:, 1 - axis].min(), floor[:, 1 - axis].max()
         wall[:, axis] = place
         wall[:, 1 - axis] = [begin, end, end, begin]
-        wall[:, 2] = [low, low, high, high]
+        wall[:, 2] = [lower, lower, upper, upper]
     return walls
 
 
@@ -269,16 +273,16 @@ def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
 
 
 def workshop_with_cad(
-    workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None
+    workshop: PlacedWorkshop, file: Path, unit: str | None = None, vertical_axis: str | None = None
 ) -> PlacedWorkshop:
-    """Workshop with the bodies of a CAD file; `unit` and `up` override the convention of its format.
+    """Workshop with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
 
     Raises
     ------
     SetupError
         When the file cannot be read, or its size is implausible.
     """
-    cad = read_mesh(file, unit, up)
+    cad = read_mesh(file, unit, vertical_axis)
     if asked := implausible_size_question(cad, np.ptp(workshop.floor, axis=0)):
         raise SetupError(asked)
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))

@@ -72,7 +72,7 @@ class CadFile:
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
-def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> CadFile:
+def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
     """A CAD file; `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of its format.
 
     Raises SetupError.
@@ -82,7 +82,7 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
     if suffix in EXACT_SUFFIXES and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
-    turned = up or ("y" if suffix in GLTF_SUFFIXES else "z")
+    turned = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
     file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
@@ -95,40 +95,43 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 
 
 @lru_cache(maxsize=8)
-def _read_triangles(path: Path, _changed: int, factor: float, up_axis: str) -> Floats:
-    """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
-    triangles = _triangles_in_file_units(path, factor)
+def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
+    """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `metres_per_unit` [m]."""
+    triangles = _triangles_in_file_units(path, metres_per_unit)
     parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
-        [_rounded_to_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up_axis) for start in parts]
+        [
+            _rounded_to_grid(metres_per_unit * triangles[start : start + TRIANGLES_PER_BATCH], vertical_axis)
+            for start in parts
+        ]
     )
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
         raise SetupError(
-            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is {factor:g} m; "
-            "set its unit, or export it again"
+            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is "
+            f"{metres_per_unit:g} m; set its unit, or export it again"
         )
     settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
     settled.flags.writeable = False
     return settled
 
 
-def _rounded_to_grid(triangles: Floats, up_axis: str) -> Ints:
+def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
     """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
 
     Each triangle starts with its first corner.
     """
-    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up_axis == "y" else triangles)).astype(
-        np.int64
-    )
+    corners = np.round(
+        GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if vertical_axis == "y" else triangles)
+    ).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
-    whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
-    return corners[whole].reshape(-1, 9)
+    is_complete = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
+    return corners[is_complete].reshape(-1, 9)
 
 
 def _triangles_in_file_units(path: Path, factor: float) -> Floats:
-    """Triangles (m, 3, 3) in the unit (`factor` metres) and axes of the file.
+    """Triangles (m, 3, 3) in the unit (`metres_per_unit` metres) and axes of the file.
 
     Those of a CAD model with exact surfaces in metres.
     """
@@ -150,7 +153,7 @@ def _triangles_in_file_units(path: Path, factor: float) -> Floats:
 
 
 def _require_precision(path: Path, triangles: Floats, factor: float) -> None:
-    """Check that rounding of coordinates (unit `factor` metres) is below `MAX_SPACING_MM`; raises SetupError."""
+    """Check that rounding of coordinates in units of `factor` metres is below `MAX_SPACING_MM`; raises SetupError."""
     single = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
         return
@@ -169,21 +172,29 @@ def extent_text(triangles: Floats) -> str:
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
-def implausible_size_question(cad: CadFile, room: Floats) -> str:
+def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
     """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
-    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), MIN_RELATIVE_LENGTH * room.max(), 1.5 * room.max()
-    if cad.has_declared_unit or least <= length.max() <= most:
+    length, least, most = (
+        np.ptp(cad_file.triangles, axis=(0, 1)),
+        MIN_RELATIVE_LENGTH * room_size.max(),
+        1.5 * room_size.max(),
+    )
+    if cad_file.has_declared_unit or least <= length.max() <= most:
         return ""
-    others = {unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad.unit] for unit in UNIT_WORDS if unit != cad.unit}
+    others = {
+        unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad_file.unit]
+        for unit in UNIT_WORDS
+        if unit != cad_file.unit
+    }
     fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad.file}: is {size} m large if its numbers are {UNIT_WORDS[cad.unit]}, which it does not declare; "
-        f'set unit = {other}, or unit = "{cad.unit}" if this is correct'
+        f"{cad_file.file}: is {size} m large if its numbers are {UNIT_WORDS[cad_file.unit]}, which it does not "
+        f'declare; set unit = {other}, or unit = "{cad_file.unit}" if this is correct'
     )
 
 
-def is_inside_room(triangles: Floats, room: Floats) -> bool:
+def is_inside_room(triangles: Floats, room_size: Floats) -> bool:
     """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room + MAX_OVERHANG))
+    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room_size + MAX_OVERHANG))

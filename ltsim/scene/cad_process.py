@@ -61,18 +61,19 @@ def read_triangles(path: Path) -> Floats:
     return triangles
 
 
-def max_stl_facets(content: bytes) -> int:
+def max_stl_facets(file_content: bytes) -> int:
     """Upper bound of the number of facets of an STL file: from its length (binary) or its keywords (text)."""
-    count = (len(content) - 84) // 50
-    if len(content) >= 84 and int.from_bytes(content[80:84], "little") == count:
+    count = (len(file_content) - 84) // 50
+    if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == count:
         return count
-    return content.lower().count(b"vertex") // 3
+    return file_content.lower().count(b"vertex") // 3
 
 
-def _require_few_triangles(path: Path, count: int) -> None:
-    if count > MAX_OBSTACLE_TRIANGLES:
+def _require_few_triangles(path: Path, n_triangles: int) -> None:
+    if n_triangles > MAX_OBSTACLE_TRIANGLES:
         raise SetupError(
-            f"{path}: holds {count} triangles, at most {MAX_OBSTACLE_TRIANGLES} are read; export it with a coarser mesh"
+            f"{path}: holds {n_triangles} triangles, at most {MAX_OBSTACLE_TRIANGLES} are read; "
+            "export it with a coarser mesh"
         )
 
 
@@ -80,9 +81,9 @@ def _incomplete_file_error(path: Path, reason: str) -> SetupError:
     return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({quoted_text(reason)})")
 
 
-def _read_in_process(path: Path, size: int) -> Floats:
+def _read_in_process(path: Path, file_size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
-    share = max(1.0, size / MAX_FILE_BYTES)
+    share = max(1.0, file_size / MAX_FILE_BYTES)
     limits = [str(int(share * MAX_CAD_MEMORY)), str(int(share * MAX_CAD_SECONDS))]
     words = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -116,7 +117,7 @@ def run_process() -> None:
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
-def limit_process(memory: int, seconds: int) -> None:
+def limit_process(memory_bytes: int, seconds: int) -> None:
     """Limits of this process on memory beyond its libraries [bytes] and on processor time [s], where supported."""
     with suppress(ImportError, ValueError, OSError):
         import resource
@@ -127,10 +128,10 @@ def limit_process(memory: int, seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         status = Path("/proc/self/status").read_text(encoding="ascii")
         reserved = next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmData"))
-        resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory, reserved + memory))
+        resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory_bytes, reserved + memory_bytes))
 
 
-def parse_triangles(content: bytes, suffix: str) -> Floats:
+def parse_triangles(file_content: bytes, suffix: str) -> Floats:
     """Triangles (m, 3, 3) of a file's content, by its suffix; errors of the libraries are passed on."""
     import trimesh  # a third of a second that few need
 
@@ -138,9 +139,9 @@ def parse_triangles(content: bytes, suffix: str) -> Floats:
         import cascadio
 
         kind = cascadio.FileType.STEP if suffix in EXACT_SUFFIXES[:2] else cascadio.FileType.IGES
-        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
+        file_content, suffix = cascadio.to_glb_bytes(file_content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
     mesh: Any = trimesh.load(
-        BytesIO(content),
+        BytesIO(file_content),
         file_type=suffix[1:],
         force="mesh",
         skip_materials=True,

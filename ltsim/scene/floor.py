@@ -94,20 +94,23 @@ class Floor(TomlSection):
 
 
 def areas_and_keep_outs(
-    floor: Floor, size_mm: tuple[float, float, float], heights: tuple[float, float]
+    floor_spec: Floor, room_size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
     """Areas where tripods may stand, and the keep-out areas in them [m].
 
-    `size_mm` is the size of the room; `heights` [m] are the heights of heads where neither floor nor area states them.
+    `room_size_mm` is the size of the room; `heights` [m] are the heights of heads where neither floor nor area states
+    them.
     Raises SetupError for an outline that crosses itself or leaves the room, and for a ceiling that is too low for any
     head.
     """
     mm = MILLIMETRE
-    usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
-    parts = floor.areas or (FloorArea(corners_mm=floor.corners_mm or _room_outline(floor, size_mm)),)
+    usual = heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
+    parts = floor_spec.areas or (
+        FloorArea(corners_mm=floor_spec.corners_mm or _room_outline(floor_spec, room_size_mm)),
+    )
     areas = []
     for i, part in enumerate(parts, 1):
-        key = f"floor.areas.{i}.corners_mm" if floor.areas else "floor.corners_mm"
+        key = f"floor.areas.{i}.corners_mm" if floor_spec.areas else "floor.corners_mm"
         low, high = usual if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
         if part.ceiling_mm is not None:
             high = min(high, part.ceiling_mm * mm - MIN_HEAD_ROOM)
@@ -116,29 +119,29 @@ def areas_and_keep_outs(
                 f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads are at {low / mm:g} mm and more; "
                 "give the area a lower height_mm"
             )
-        outline = _outline_in_metres(key, part.corners_mm, size_mm)
+        outline = _outline_in_metres(key, part.corners_mm, room_size_mm)
         holes = tuple(
             _outline_in_metres(f"floor.areas.{i}.holes_mm.{k}", hole) for k, hole in enumerate(part.holes_mm, 1)
         )
         areas.append(StandingArea(outline, (low, high), holes))
     free = [
         KeepOutArea(_outline_in_metres(f"floor.keep_outs.{i}.corners_mm", place.corners_mm), place.clear_mm * mm)
-        for i, place in enumerate(floor.keep_outs, 1)
+        for i, place in enumerate(floor_spec.keep_outs, 1)
     ]
-    free += [KeepOutArea(np.array([door.from_mm, door.to_mm]) * mm, door.clear_mm * mm) for door in floor.doors]
+    free += [KeepOutArea(np.array([door.from_mm, door.to_mm]) * mm, door.clear_mm * mm) for door in floor_spec.doors]
     return tuple(areas), tuple(free)
 
 
-def _room_outline(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
+def _room_outline(floor_spec: Floor, room_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
     """Corners of the room, moved inwards by the margin."""
-    (wide, deep, _), margin = size_mm, floor.margin_mm
+    (wide, deep, _), margin = room_size_mm, floor_spec.margin_mm
     if 2 * margin >= min(wide, deep):
         raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {deep:g} mm")
     return (margin, margin), (wide - margin, margin), (wide - margin, deep - margin), (margin, deep - margin)
 
 
 def _outline_in_metres(
-    key: str, corners_mm: tuple[PlanPoint, ...], size_mm: tuple[float, float, float] | None = None
+    outline_key: str, corners_mm: tuple[PlanPoint, ...], room_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
     """Corners (k, 2) [m] of an outline.
 
@@ -147,14 +150,15 @@ def _outline_in_metres(
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = outline_error(outline)
     if problem:
-        raise SetupError(f"{key} is not an outline: {problem}")
-    if size_mm is not None:
-        room = np.array(size_mm[:2]) * MILLIMETRE
+        raise SetupError(f"{outline_key} is not an outline: {problem}")
+    if room_size_mm is not None:
+        room = np.array(room_size_mm[:2]) * MILLIMETRE
         beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > room + 1e-3), axis=1))
         if len(beyond):
             x, y = corners_mm[beyond[0]]
             raise SetupError(
-                f"{key} has the corner ({x:g}, {y:g}), outside the room of {size_mm[0]:g} x {size_mm[1]:g} mm"
+                f"{outline_key} has the corner ({x:g}, {y:g}), outside the room of "
+                f"{room_size_mm[0]:g} x {room_size_mm[1]:g} mm"
             )
     return outline
 
@@ -219,9 +223,9 @@ def outline_error(outline: Floats) -> str:
     It is empty for an outline that does not cross itself and has an area.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
-    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
-    if len(same):
-        return f"its corner {same[0] + 1} coincides with the corner before it"
+    same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
+    if len(same_rows):
+        return f"its corner {same_rows[0] + 1} coincides with the corner before it"
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
     first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
@@ -232,25 +236,28 @@ def outline_error(outline: Floats) -> str:
     return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
-def grid_step(areas: Sequence[StandingArea], grid_mm: float | None) -> float:
+def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
     """Step [m] of a grid of places.
 
     By default `N_DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
     """
-    if grid_mm is not None:
-        return grid_mm * MILLIMETRE
-    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
+    if requested_step_mm is not None:
+        return requested_step_mm * MILLIMETRE
+    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
     return max(round(float(np.sqrt(size / N_DEFAULT_PLACES)), 1), 0.5)
 
 
 def is_allowed_position(
-    areas: Sequence[StandingArea], keep_outs: Sequence[KeepOutArea], obstacles: Obstacles | None, position: Floats
+    standing_areas: Sequence[StandingArea],
+    keep_out_areas: Sequence[KeepOutArea],
+    obstacles: Obstacles | None,
+    position: Floats,
 ) -> Bools:
     """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand."""
     good = np.zeros(len(position), dtype=bool)
-    for area in areas:
+    for area in standing_areas:
         good |= area.contains_instrument(position)
-    for place in keep_outs:
+    for place in keep_out_areas:
         good &= ~place.contains_places(position[:, :2])
     if obstacles is not None and good.any():
         good[good] = ~obstacles.is_enclosed(position[good])
@@ -258,31 +265,34 @@ def is_allowed_position(
 
 
 def refusal_reason(
-    areas: Sequence[StandingArea], keep_outs: Sequence[KeepOutArea], obstacles: Obstacles | None, position: Floats
+    standing_areas: Sequence[StandingArea],
+    keep_out_areas: Sequence[KeepOutArea],
+    obstacles: Obstacles | None,
+    position: Floats,
 ) -> str:
     """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
 
     It is empty if one may.
     """
-    if is_allowed_position(areas, keep_outs, obstacles, position[None])[0]:
+    if is_allowed_position(standing_areas, keep_out_areas, obstacles, position[None])[0]:
         return ""
-    place, under = position[None, :2], [area for area in areas if area.covers_places(position[None, :2])[0]]
+    place, under = position[None, :2], [area for area in standing_areas if area.covers_places(position[None, :2])[0]]
     if not under:
         return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
     if not any(area.contains_instrument(position[None])[0] for area in under):
         low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
-    if any(free.contains_places(place)[0] for free in keep_outs):
+    if any(free.contains_places(place)[0] for free in keep_out_areas):
         return "on floor that is kept free (floor.keep_outs, floor.doors)"
     return "inside an obstacle (workshop.obstacles)"
 
 
-def grid_over_area(area: StandingArea, step: float, heights: int) -> Floats:
+def grid_over_area(standing_area: StandingArea, grid_spacing: float, heights: int) -> Floats:
     """Grid (N, 3) [m] over the bounding rectangle of an area, at each of its heights."""
-    low, high = area.outline.min(axis=0), area.outline.max(axis=0)
-    count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
+    count = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
-    bottom, top = area.heights
+    bottom, top = standing_area.heights
     levels = np.linspace(bottom, top, heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

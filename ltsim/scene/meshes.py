@@ -75,40 +75,40 @@ class Obstacles:
         faces = np.arange(3 * len(self.triangles)).reshape(-1, 3)
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
-    def is_blocked(self, origins: Floats, ends: Floats) -> Bools:
+    def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
         """Flags (n,): a triangle lies between an origin and an end (n, 3) [m]; touching an edge counts."""
-        hit = self._is_met(origins, ends)
+        hit = self._is_met(origins, end_points)
         if self._ray_caster is None or not hit.size:
             return hit
-        length = np.linalg.norm(ends - origins, axis=1)
-        beam = (ends - origins) / length[:, None]
+        length = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / length[:, None]
         side, other = (RAY_BUNDLE_RADIUS * way for way in perpendicular_vectors(beam))
-        votes = [self._is_met(origins + shift, ends + shift) for shift in (side, -side, other, -other)]
+        votes = [self._is_met(origins + shift, end_points + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
         hit[doubtful] = count_native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
         return hit
 
-    def is_blocked_near(self, origins: Floats, ends: Floats, position_tolerance: float) -> Bools:
-        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument near its place `origins` (n, 3) [m].
+    def is_blocked_near(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
+        """Flags (n,): a body hides `end_points` (n, 3) [m] from an instrument near its place `origins` (n, 3) [m].
 
         Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
         that an edge of a body is not missed.
         """
-        sight = ends - origins
+        sight = end_points - origins
         side, other = perpendicular_vectors(sight / np.linalg.norm(sight, axis=1, keepdims=True))
         hit = np.zeros(len(origins), dtype=bool)
         for across, up in product((-position_tolerance, position_tolerance), repeat=2):
             open_rows = np.flatnonzero(~hit)
             start = origins[open_rows] + across * side[open_rows] + up * other[open_rows]
-            hit[open_rows] = self._is_met(start, ends[open_rows])  # at such a distance single precision is enough
+            hit[open_rows] = self._is_met(start, end_points[open_rows])  # at such a distance single precision is enough
         return hit
 
-    def _is_met(self, origins: Floats, ends: Floats) -> Bools:
+    def _is_met(self, origins: Floats, end_points: Floats) -> Bools:
         """Flags (n,): a triangle lies between origin and end, to the precision of the ray caster in use."""
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
-        length = np.linalg.norm(ends - origins, axis=1)
-        beam = (ends - origins) / length[:, None]
+        length = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / length[:, None]
         if self._ray_caster is None:
             return np.asarray(count_native_hits(self.triangles, origins, beam, length) > 0)
         point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
@@ -236,9 +236,9 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
     on_edge = triangles + along[..., None] * edge
     best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
-    over = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
     under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
-    return np.where(over[:, None], under, on_edge[np.arange(len(best)), best])
+    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(best)), best])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
@@ -246,8 +246,8 @@ def _projected_along_upwards(points: Floats) -> Floats:
     return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
 
 
-def _row_dot_products(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("...k,...k->...", a, b))
+def _row_dot_products(first_rows: Floats, second_rows: Floats) -> Floats:
+    return np.asarray(np.einsum("...k,...k->...", first_rows, second_rows))
 
 
 def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
@@ -255,9 +255,9 @@ def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
     return triangles @ rotation_about_z(yaw).T + position
 
 
-def box_triangles(size: Floats) -> Floats:
+def box_triangles(edge_lengths: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
-    return UNIT_CUBE * size + [0.0, 0.0, 0.5 * size[2]]
+    return UNIT_CUBE * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
@@ -273,23 +273,23 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
     return np.stack(sides, axis=1).reshape(-1, 3, 3)
 
 
-def wall_triangles(size: Floats) -> Floats:
-    """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
-    body = (UNIT_CUBE + 0.5) * size
+def wall_triangles(room_size: Floats) -> Floats:
+    """Triangles (8, 3, 3) of the walls of a room (3,) [m] with a corner at the origin; normals inward."""
+    body = (UNIT_CUBE + 0.5) * room_size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
-def join_obstacles(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
+def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -> Obstacles:
     """Obstacles of several sets of triangles; those of the last call again where they are the same.
 
     The rays of a large hall take 600 bytes a triangle, and memory that only the garbage collection frees.
     """
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
-    key = blake2b(triangles.ravel().data).digest(), floor
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *triangle_sets])
+    key = blake2b(triangles.ravel().data).digest(), floor_height
     latest = _LATEST_OBSTACLES.get(key)
     if latest is None:
         triangles.flags.writeable = False
-        latest = Obstacles(triangles, floor)
+        latest = Obstacles(triangles, floor_height)
         _LATEST_OBSTACLES.clear()
         _LATEST_OBSTACLES[key] = latest
     return latest
@@ -300,53 +300,59 @@ _LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
 
 
 def candidate_nest_places(
-    body: Floats, standoff: float, spacing: float, around: Obstacles | None = None, *, closed: bool = True
+    body_triangles: Floats,
+    surface_offset: float,
+    min_spacing: float,
+    obstacles: Obstacles | None = None,
+    *,
+    is_closed: bool = True,
 ) -> Floats:
     """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
-    Their centres are `standoff` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
-    `around`. The outer side of a `closed` body is determined for any orientation of its triangles; that of an open
-    surface is the side of the normals.
+    Their centres are `surface_offset` [m] over the surface, at least `min_spacing` [m] from each other, and outside all
+    bodies of `obstacles`. The outer side of a `is_closed` body is determined for any orientation of its triangles; that
+    of an
+    open surface is the side of the normals.
     """
-    drawn, normal = _random_points(body, spacing)
-    surface = Obstacles(body)
-    if closed:
-        normal[surface.is_inside_body(drawn + standoff * normal)] *= -1.0
-    places = drawn + standoff * normal
-    good = normal[:, 2] > MIN_NORMAL_Z
-    good &= ~(closed & surface.is_inside_body(places))
-    if around is not None:
-        good &= ~around.is_inside_body(places)
-    good[good] = _is_flat(surface, places[good], normal[good], standoff)
-    return _thin_places(places[good], spacing)
+    drawn, normal = _random_points(body_triangles, min_spacing)
+    surface = Obstacles(body_triangles)
+    if is_closed:
+        normal[surface.is_inside_body(drawn + surface_offset * normal)] *= -1.0
+    places = drawn + surface_offset * normal
+    is_valid = normal[:, 2] > MIN_NORMAL_Z
+    is_valid &= ~(is_closed & surface.is_inside_body(places))
+    if obstacles is not None:
+        is_valid &= ~obstacles.is_inside_body(places)
+    is_valid[is_valid] = _is_flat(surface, places[is_valid], normal[is_valid], surface_offset)
+    return _thin_places(places[is_valid], min_spacing)
 
 
-def _random_points(body: Floats, spacing: float) -> tuple[Floats, Floats]:
+def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
     """Random points, uniform over the area of triangles, and their normals, both (n, 3)."""
-    normal, area = _normals_and_areas(body)
+    normal, area = _normals_and_areas(body_triangles)
     rng = stream(0, "nests")
-    count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / spacing**2, 200, MAX_DRAWN_PLACES))
-    face = rng.choice(len(body), size=count, p=area / area.sum())
+    count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
+    face = rng.choice(len(body_triangles), size=count, p=area / area.sum())
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    a, b, c = np.moveaxis(body[face], 1, 0)
+    a, b, c = np.moveaxis(body_triangles[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
-def _is_flat(surface: Obstacles, places: Floats, normal: Floats, standoff: float) -> Bools:
+def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
     """Flags (n,): the surface around the foot of a nest is flat enough for it."""
-    side, other = perpendicular_vectors(normal)
+    side, other = perpendicular_vectors(surface_normals)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
         rim = places + NEST_FOOT_RADIUS * shift
-        good &= surface.is_blocked(rim, rim - (standoff + MAX_NEST_UNEVENNESS) * normal)
-        good &= ~surface.is_blocked(rim, rim - (standoff - MAX_NEST_UNEVENNESS) * normal)
+        good &= body_surface.is_blocked(rim, rim - (surface_offset + MAX_NEST_UNEVENNESS) * surface_normals)
+        good &= ~body_surface.is_blocked(rim, rim - (surface_offset - MAX_NEST_UNEVENNESS) * surface_normals)
     return good
 
 
-def _thin_places(places: Floats, spacing: float) -> Floats:
-    """Places thinned in their order, so that each is at least `spacing` [m] from all retained ones."""
+def _thin_places(places: Floats, min_spacing: float) -> Floats:
+    """Places thinned in their order, so that each is at least `min_spacing` [m] from all retained ones."""
     chosen: list[int] = []
     for i, place in enumerate(places):
-        if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= spacing:
+        if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:
             chosen.append(i)
     return places[chosen]

@@ -103,8 +103,8 @@ class HallRegion:
 
     def target_weights(self, sightings: Sightings) -> Floats:
         """Weight w (n,) of the region at the target of each pointing."""
-        at = ["xyz".index(axis) for axis in self.bounded_axes]
-        gap = sightings.target_points[:, at] - np.asarray(self.centre)
+        indices = ["xyz".index(axis) for axis in self.bounded_axes]
+        gap = sightings.target_points[:, indices] - np.asarray(self.centre)
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
         return near
 
@@ -132,55 +132,64 @@ class HallRegion:
             yield replace(self, width=round(self.width * factor, 6))
 
 
-def region_paths(sightings: Sightings, axes: str, centres: Floats, width: float) -> Floats:
+def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
     """Lengths (r, n) [m] of the lines of sight in regions of one shape and width, with centres (r, k)."""
-    beam, length, start, a, crossing = _lines_relative_to_centres(sightings, axes, centres)
+    beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
     nearest, rho = _nearest_approach(start[:, crossing], beam[crossing], a[crossing])
     path[:, crossing] = _line_integral(nearest, rho, length[crossing], width / np.sqrt(a[crossing]), width)
     return path
 
 
-def region_levers(sightings: Sightings, axes: str, centres: Floats, width: float, path: Floats) -> Floats:
+def region_levers(
+    sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
+) -> Floats:
     """Integrals (r, n) [m] of w (d - s) / d along the lines of sight, whose paths (r, n) are known."""
-    beam, length, start, a, crossing = _lines_relative_to_centres(sightings, axes, centres)
-    lever = 0.5 * path  # a line along a region is in it all the way
+    beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
+    lever = 0.5 * path_lengths  # a line along a region is in it all the way
     nearest, rho = _nearest_approach(start[:, crossing], beam[crossing], a[crossing])
     d, variance = length[crossing], width**2 / a[crossing]
     ends = np.exp(-0.5 * nearest**2 / variance) - np.exp(-0.5 * (d - nearest) ** 2 / variance)
     moment = variance * ends * np.exp(-0.5 * np.sum(rho**2, axis=-1) / width**2)
-    lever[:, crossing] = ((d - nearest) * path[:, crossing] - moment) / d
+    lever[:, crossing] = ((d - nearest) * path_lengths[:, crossing] - moment) / d
     return lever
 
 
 def _lines_relative_to_centres(
-    sightings: Sightings, axes: str, centres: Floats
+    sightings: Sightings, bounded_axes: str, region_centres: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
     """Lines of sight in the coordinates `bounded_axes`, relative to the centres of regions.
 
     Unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,), and flags (n,).
 
-    Last, which lines (n,) cross a region, and do not run along it.
+    The flags mark the lines that cross a region and do not run along it.
     """
-    at = ["xyz".index(axis) for axis in axes]
-    beam = sightings.beam_vectors[0][:, at]
+    indices = ["xyz".index(axis) for axis in bounded_axes]
+    beam = sightings.beam_vectors[0][:, indices]
     a = np.einsum("ni,ni->n", beam, beam)
-    start = sightings.station_positions[sightings.station][:, at] - centres[:, None]
+    start = sightings.station_positions[sightings.station][:, indices] - region_centres[:, None]
     return beam, sightings.range_, start, a, a > MAX_PARALLEL_SINE_SQUARED
 
 
-def _nearest_approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
+def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: Floats) -> tuple[Floats, Floats]:
     """Distance (..., n) along each line to its nearest approach to the centre, and the vector (..., n, k) to it."""
-    nearest = -np.sum(start * beam, axis=-1) / a
-    return nearest, start + nearest[..., None] * beam
+    nearest = -np.sum(start_points * beam, axis=-1) / squared_beam_length
+    return nearest, start_points + nearest[..., None] * beam
 
 
-def _line_integral(nearest: Floats, rho: Floats, length: Floats, along: Floats, width: float) -> Floats:
-    """Integral (..., n) of w over lines of length (n,), with standard deviations `along` (n,) of w along them."""
+def _line_integral(
+    approach_distance: Floats, perpendicular_distance: Floats, length: Floats, sigma_along_line: Floats, width: float
+) -> Floats:
+    """Integral (..., n) of w over lines of length (n,), with standard deviations (n,) of w along them."""
     from scipy.special import ndtr
 
-    share = ndtr((length - nearest) / along) - ndtr(-nearest / along)
-    integral: Floats = np.sqrt(2.0 * np.pi) * along * share * np.exp(-0.5 * np.sum(rho**2, axis=-1) / width**2)
+    share = ndtr((length - approach_distance) / sigma_along_line) - ndtr(-approach_distance / sigma_along_line)
+    integral: Floats = (
+        np.sqrt(2.0 * np.pi)
+        * sigma_along_line
+        * share
+        * np.exp(-0.5 * np.sum(perpendicular_distance**2, axis=-1) / width**2)
+    )
     return integral
 
 
@@ -190,10 +199,10 @@ def coordinate_extent(sightings: Sightings) -> tuple[Floats, Floats]:
     return ends.min(axis=0, initial=np.inf), ends.max(axis=0, initial=-np.inf)
 
 
-def candidate_regions(sightings: Sightings, shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
+def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
     """Regions of the given shapes on a grid over the hall; some, but not almost all, lines of sight pass each."""
     regions: list[HallRegion] = []
-    for axes in shapes if len(sightings) else ():
+    for axes in region_shapes if len(sightings) else ():
         key = "regions", axes
         if key not in sightings.derived_cache:
             sightings.derived_cache[key] = _regions_of_shape(sightings, axes)
@@ -208,28 +217,31 @@ def _regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
     return [r for parts in GRID_SUBDIVISIONS[len(axes)] for r in _regions_on_grid(sightings, axes, coarsest / parts)]
 
 
-def _regions_on_grid(sightings: Sightings, axes: str, step: float) -> list[HallRegion]:
-    """Regions of one shape on a grid with a distance `step` [m] between the centres."""
+def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: float) -> list[HallRegion]:
+    """Regions of one shape on a grid with a distance `grid_spacing` [m] between the centres."""
     low, high = coordinate_extent(sightings)
-    width, regions = round(0.5 * step, 6), list[HallRegion]()
-    grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
-    centres = np.array(list(product(*grids))).reshape(-1, len(axes))
+    width, regions = round(0.5 * grid_spacing, 6), list[HallRegion]()
+    grids = [
+        np.arange(low[i] + 0.5 * grid_spacing, high[i], grid_spacing).round(6).tolist()
+        for i in map("xyz".index, bounded_axes)
+    ]
+    centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
-        inside = region_paths(sightings, axes, part, width)
+        inside = region_paths(sightings, bounded_axes, part, width)
         chosen = np.flatnonzero(is_distinctive(inside > width, sightings))
-        beyond = region_levers(sightings, axes, part[chosen], width, inside[chosen])
+        beyond = region_levers(sightings, bounded_axes, part[chosen], width, inside[chosen])
         for i, lever in zip(chosen.tolist(), beyond, strict=True):
-            regions.append(region := HallRegion(axes, tuple(part[i].tolist()), width))
+            regions.append(region := HallRegion(bounded_axes, tuple(part[i].tolist()), width))
             sightings.derived_cache[region], sightings.derived_cache[region, "lever"] = inside[i].copy(), lever.copy()
     return regions
 
 
-def is_distinctive(passing: Bools, sightings: Sightings) -> Bools:
+def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
-    count = passing.sum(axis=1)
-    enough = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
+    count = is_crossed.sum(axis=1)
+    is_sufficient = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
-    by_target = passing[enough].astype(np.float32) @ of_target
-    enough[enough] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND
-    distinctive: Bools = enough
+    by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
+    is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND
+    distinctive: Bools = is_sufficient
     return distinctive

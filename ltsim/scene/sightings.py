@@ -186,11 +186,11 @@ class Sightings:
         before[rows[1:][same]] = rows[:-1][same]
         return before
 
-    def _cumulative_sum(self, steps: Floats | Bools) -> Floats:
+    def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
         """Cumulative sum (n,) of the steps (n,) of a set-up, excluding the step of its first pointing."""
         rows = self.order_by_setup
         first = np.maximum.accumulate(np.where(self.previous_rows[rows] < 0, np.arange(len(rows)), 0))
-        sums = np.cumsum(steps[rows], dtype=np.float64)
+        sums = np.cumsum(row_increments[rows], dtype=np.float64)
         sums_by_row = np.empty_like(sums)
         sums_by_row[rows] = sums - sums[first]
         return sums_by_row

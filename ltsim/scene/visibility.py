@@ -20,6 +20,7 @@ from ltsim.scene.meshes import Obstacles
 DOWNWARD = np.array([0.0, 0.0, -1.0])
 """Unit vector of the plumb line downwards."""
 ANGLE_TOLERANCE = 1e-9
+"""Tolerance of comparisons with the limits of angles [rad] and of distances [m]: rounding only."""
 
 
 class InvisibilityReason(IntEnum):
@@ -63,11 +64,11 @@ class SightLimits:
     max_incidence: float = 30.0 * DEGREE
     """Largest incidence angle on a reflector."""
     declared_cone_opening: float | None = None
-    """Full angle of the shadow cone below the instrument; None: the one that follows from `elevation_min`."""
+    """Full angle of the shadow cone below the instrument; None: the one that follows from `min_elevation`."""
 
     @property
     def cone_opening(self) -> float:
-        """Full angle [rad] of the shadow cone in effect: the declared one, or that of `elevation_min`."""
+        """Full angle [rad] of the shadow cone in effect: the declared one, or that of `min_elevation`."""
         return (
             shadow_cone_opening(self.elevation_min)
             if self.declared_cone_opening is None
@@ -131,18 +132,18 @@ class Visibility:
         ]
 
 
-def shadow_cone_opening(elevation_min: float) -> float:
+def shadow_cone_opening(min_elevation: float) -> float:
     """Full angle [rad] of the shadow cone under an instrument by its lowest elevation [rad]: 70 deg for -55 deg."""
-    return float(np.pi + 2.0 * elevation_min)
+    return float(np.pi + 2.0 * min_elevation)
 
 
-def shadow_radii(position: Floats, height: float, opening: float) -> Floats:
+def shadow_radii(position: Floats, height: float, cone_angle: float) -> Floats:
     """Radius (S,) [m] of the shadow circles at `height` [m] under upright instruments at `position` (S, 3).
 
     The radius is zero for an instrument below `height`. The circles are centred under the positions.
     """
     above = np.maximum(position[:, 2] - height, 0.0)
-    return above * np.tan(0.5 * opening)
+    return above * np.tan(0.5 * cone_angle)
 
 
 def compute_visibility(
@@ -151,14 +152,14 @@ def compute_visibility(
     limits: SightLimits,
     *,
     rotation: Floats | None = None,
-    nest_normal: Floats | None = None,
-    reaimed: Bools | None = None,
+    nest_normals: Floats | None = None,
+    is_reaimed: Bools | None = None,
     obstacles: Obstacles | None = None,
 ) -> Visibility:
     """Visibility tables from instrument origins (S, 3) [m] to points (T, 3) [m].
 
-    Without `rotation` (S, 3, 3), instrument frame to network frame, the instruments are upright. `nest_normal` (T, 3)
-    are the normals of the open faces; a row of NaN is unknown and accepts every beam. Reflectors with `reaimed` (T,)
+    Without `rotation` (S, 3, 3), instrument frame to network frame, the instruments are upright. `nest_normals` (T, 3)
+    are the normals of the open faces; a row of NaN is unknown and accepts every beam. Reflectors with `is_reaimed` (T,)
     are turned to the station; by default all are.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
@@ -169,7 +170,7 @@ def compute_visibility(
     beam = sight / range_[:, :, None]
     down = np.broadcast_to(DOWNWARD, position.shape) if rotation is None else rotation @ DOWNWARD
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
-    incidence = _incidence_on_reflectors(beam, nest_normal, reaimed)
+    incidence = _incidence_on_reflectors(beam, nest_normals, is_reaimed)
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.cone_opening - 0.5 * np.pi
     checks = (
@@ -186,33 +187,35 @@ def compute_visibility(
     return Visibility(reason, range_, elevation, incidence, (limits,) * len(position))
 
 
-def join_visibility_tables(tables: Sequence[Visibility], order: Ints) -> Visibility:
+def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) -> Visibility:
     """Joint table of several groups of stations.
 
-    `order` gives for each station its row in the joined groups.
+    `station_order` gives for each station its row in the joined groups.
     """
     columns = [(t.reasons, t.ranges, t.elevations, t.incidence_angles) for t in tables]
-    reason, range_, elevation, incidence = (np.concatenate(column)[order] for column in zip(*columns, strict=True))
+    reason, range_, elevation, incidence = (
+        np.concatenate(column)[station_order] for column in zip(*columns, strict=True)
+    )
     limits = [limits for table in tables for limits in table.limits]
-    return Visibility(reason, range_, elevation, incidence, tuple(limits[s] for s in order.tolist()))
+    return Visibility(reason, range_, elevation, incidence, tuple(limits[s] for s in station_order.tolist()))
 
 
-def _incidence_on_reflectors(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
+def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
     """Incidence angle (S, T) [rad] between the beam towards the station and the normal of the open face."""
-    if nest_normal is None or reaimed is None:
+    if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])
-    length = np.linalg.norm(nest_normal, axis=1, keepdims=True)
-    cosine = -np.einsum("stk,tk->st", beam, nest_normal / length)
-    return np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
+    length = np.linalg.norm(nest_normals, axis=1, keepdims=True)
+    cosine = -np.einsum("stk,tk->st", beam, nest_normals / length)
+    return np.where(is_reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
+def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
     """Marking of the pairs that an obstacle hides; rays are cast only for pairs that no other reason excludes."""
     inside = obstacles.is_enclosed(position)
-    pairs = np.argwhere((reason == InvisibilityReason.VISIBLE) & ~inside[:, None])
+    pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~inside[:, None])
     hidden = pairs[obstacles.is_blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
-    reason[hidden[:, 0], hidden[:, 1]] = InvisibilityReason.OBSTACLE
-    reason[inside] = InvisibilityReason.STATION_INSIDE
+    reason_table[hidden[:, 0], hidden[:, 1]] = InvisibilityReason.OBSTACLE
+    reason_table[inside] = InvisibilityReason.STATION_INSIDE
 
 
 def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -229,16 +232,16 @@ def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
     return centre, half_angle
 
 
-def narrowest_cone_axes(directions: Floats, steps: int = 1000) -> Floats:
+def narrowest_cone_axes(directions: Floats, n_steps: int = 1000) -> Floats:
     """Axes (..., 3) of the narrowest cones around unit vectors (..., S, 3) of a half space.
 
     It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges
     as 1/i.
     """
-    flat = directions.reshape(-1, *directions.shape[-2:])
-    centre, every = flat.mean(axis=-2), np.arange(len(flat))
-    for i in range(1, steps + 1):
-        farthest = np.argmin(np.einsum("tsk,tk->ts", flat, centre), axis=-1)
-        centre += (flat[every, farthest] - centre) / (i + 1)
+    flattened = directions.reshape(-1, *directions.shape[-2:])
+    centre, every = flattened.mean(axis=-2), np.arange(len(flattened))
+    for i in range(1, n_steps + 1):
+        farthest = np.argmin(np.einsum("tsk,tk->ts", flattened, centre), axis=-1)
+        centre += (flattened[every, farthest] - centre) / (i + 1)
         centre /= np.sqrt(np.sum(centre**2, axis=1, keepdims=True))
     return centre.reshape(directions.shape[:-2] + directions.shape[-1:])

@@ -74,9 +74,9 @@ class StandardNormalSource:
     seed: int
     trials: Ints
 
-    def __call__(self, size: int, *stream_key: str | int) -> Floats:
+    def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
         """Standard normal numbers (size, B) of a stream key."""
-        return standard_normal_trials(self.seed, self.trials, size, *stream_key)
+        return standard_normal_trials(self.seed, self.trials, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
         """Sources of the single trials; shared draws are cached."""
@@ -91,8 +91,8 @@ class _SingleTrialSource(StandardNormalSource):
     batch_source: Callable[..., Floats] = standard_normal_trials
     trial_index: int = 0
 
-    def __call__(self, size: int, *stream_key: str | int) -> Floats:
-        return self.batch_source(size, *stream_key)[:, self.trial_index : self.trial_index + 1]
+    def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
+        return self.batch_source(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
 
 
 @dataclass(frozen=True)

@@ -50,21 +50,21 @@ class MeasurementGeometry:
 
 
 def make_geometry(
-    scenario: Scenario, seed: int, *key: str | int, plan: WorkshopLayout | None = None
+    scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> MeasurementGeometry:
     """True geometry of a scenario with its visible pointings in the order of measurement; `plan` as in `place_layout`.
 
     Raises SetupError if a station sees no target, an obstacle's file is damaged, an effect does not exist, or an SMR of
     another radius is in a nest without a normal.
     """
-    layout = place_layout(scenario, seed, *key, plan=plan)
+    layout = place_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
             raise SetupError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
-    sightings = _sightings(scenario, layout, table.is_visible, seed, *key)
-    sightings = replace(sightings, reflector_offsets=true_smr_offsets(scenario, sightings, seed, *key))
+    sightings = _sightings(scenario, layout, table.is_visible, seed, *stream_key)
+    sightings = replace(sightings, reflector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
         scenario=scenario,
         layout=layout,
@@ -74,46 +74,55 @@ def make_geometry(
     )
 
 
-def place_layout(scenario: Scenario, seed: int, *key: str | int, plan: WorkshopLayout | None = None) -> WorkshopLayout:
+def place_layout(
+    scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
+) -> WorkshopLayout:
     """True layout: the plan with the scatter of `placing`; the gauge moves as one rigid body.
 
     `plan` is the result of `planned` for the scenario, to avoid computing it again.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
-    draws = np.array([stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations])
+    draws = np.array(
+        [stream(seed, *stream_key, "placing", "station", name).standard_normal(6) for name in scenario.stations]
+    )
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
     leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
     yaws = np.array([rotation_about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
     rotation = leans @ yaws @ rotation
-    moves = [stream(seed, *key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
+    moves = [stream(seed, *stream_key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
     points[: len(moves)] += placing.target_mm * MILLIMETRE * np.array(moves).reshape(-1, 3)
     if scenario.gauge is not None:
         body = slice(len(scenario.targets), None)
-        draw = stream(seed, *key, "placing", "gauge").standard_normal(6)
+        draw = stream(seed, *stream_key, "placing", "gauge").standard_normal(6)
         turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
         centre = points[body].mean(axis=0)
         points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
     return replace(plan, station_positions=position, station_rotations=rotation, target_points=points)
 
 
-def _hidden_pair_notes(layout: WorkshopLayout, table: Visibility) -> tuple[str, ...]:
-    lost = table.invisible_pair_sentences(layout.station_names, layout.target_names)
+def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
+    lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
-    reasons = Counter(reason for line in table.reason_kinds() for reason in line if reason)
+    reasons = Counter(reason for line in visibility.reason_kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.is_visible.size} pairs of station and target have no line of sight: {counts}",)
+    return (f"{len(lost)} of {visibility.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
-def _sightings(scenario: Scenario, layout: WorkshopLayout, visible: Bools, seed: int, *key: str | int) -> Sightings:
+def _sightings(
+    scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
+) -> Sightings:
     """Pointings in the order of measurement, without targets that no station sees."""
-    pointed = np.flatnonzero(visible.any(axis=0))
-    renumbered = np.full(len(layout.target_names), -1)
+    pointed = np.flatnonzero(is_visible.any(axis=0))
+    renumbered = np.full(len(workshop_layout.target_names), -1)
     renumbered[pointed] = np.arange(len(pointed))
-    visits = [_setup_pointings(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.station_names))]
+    visits = [
+        _setup_pointings(scenario, workshop_layout, s, is_visible[s], seed, *stream_key)
+        for s in range(len(workshop_layout.station_names))
+    ]
     station = np.repeat(np.arange(len(visits)), [len(visit) for visit in visits])
     target, face, repeat = np.concatenate(visits).T
     work = scenario.work
@@ -128,26 +137,31 @@ def _sightings(scenario: Scenario, layout: WorkshopLayout, visible: Bools, seed:
         face=face,
         repeat=repeat,
         time=time,
-        station_positions=layout.station_positions,
-        station_rotations=layout.station_rotations,
-        target_points=layout.target_points[pointed],
-        nest_normals=layout.nest_normals[pointed],
-        is_reaimed=layout.is_reaimed[pointed],
-        station_names=layout.station_names,
-        target_names=tuple(layout.target_names[k] for k in pointed),
+        station_positions=workshop_layout.station_positions,
+        station_rotations=workshop_layout.station_rotations,
+        target_points=workshop_layout.target_points[pointed],
+        nest_normals=workshop_layout.nest_normals[pointed],
+        is_reaimed=workshop_layout.is_reaimed[pointed],
+        station_names=workshop_layout.station_names,
+        target_names=tuple(workshop_layout.target_names[k] for k in pointed),
         covariates=_air_sensor_readings(scenario, time),
     )
 
 
 def _setup_pointings(
-    scenario: Scenario, layout: WorkshopLayout, station: int, visible: Bools, seed: int, *key: str | int
+    scenario: Scenario,
+    workshop_layout: WorkshopLayout,
+    station: int,
+    is_visible: Bools,
+    seed: int,
+    *stream_key: str | int,
 ) -> Ints:
     """Target, face and repeat of each pointing of one station's visit, (k, 3), in the order of measurement."""
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
-        order = _target_order(scenario, layout, station, repeat, seed, *key)
-        order = order[visible[order]]
+        order = _target_order(scenario, workshop_layout, station, repeat, seed, *stream_key)
+        order = order[is_visible[order]]
         if work.face_order == "per-target":
             pair = np.repeat(order, len(faces)), np.tile(faces, len(order))
         else:
@@ -157,16 +171,21 @@ def _setup_pointings(
 
 
 def _target_order(
-    scenario: Scenario, layout: WorkshopLayout, station: int, repeat: int, seed: int, *key: str | int
+    scenario: Scenario,
+    workshop_layout: WorkshopLayout,
+    station: int,
+    repeat_number: int,
+    seed: int,
+    *stream_key: str | int,
 ) -> Ints:
-    count = len(layout.target_names)
+    count = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
         return np.arange(count)
     if scenario.work.order == "level-by-level":
-        azimuth = to_polar(layout.target_points - layout.station_positions[station])[:, 1]
-        levels = _height_levels(layout.target_points[:, 2])
+        azimuth = to_polar(workshop_layout.target_points - workshop_layout.station_positions[station])[:, 1]
+        levels = _height_levels(workshop_layout.target_points[:, 2])
         return np.lexsort((azimuth, levels))
-    draw = stream(seed, *key, "order", layout.station_names[station], repeat)
+    draw = stream(seed, *stream_key, "order", workshop_layout.station_names[station], repeat_number)
     return draw.permutation(count)
 
 
@@ -198,7 +217,7 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
     return tuple(stations[s] or targets[t] or scenario.smr.reflector or "" for s, t in places)
 
 
-def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
+def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
     """Offset (n, 3) [m] of each SMR's centre from its target; None in a scenario with one SMR.
 
     Raises SetupError for an SMR without a table, for one of another radius in a nest without a normal, and for a
@@ -220,6 +239,8 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *key: 
     with as_setup_error():
         lengths = excess_radii_of_names(names, targets, bare, reflectors, scenario.reference_radius_mm)
     for name in dict.fromkeys(names):
-        error = (reflectors[name].sigma_radius_mm or 0.0) * stream(seed, *key, "reflector", name).standard_normal()
+        error = (reflectors[name].sigma_radius_mm or 0.0) * stream(
+            seed, *stream_key, "reflector", name
+        ).standard_normal()
         lengths[np.array(names) == name] += error * MILLIMETRE
     return lengths[:, None] * np.nan_to_num(sightings.nest_normals)[sightings.target]

@@ -32,7 +32,7 @@ class GaugeFrame:
     """Gauge frame at its calibration temperature."""
 
     target_names: tuple[str, ...]
-    """Names of its k targets."""
+    """Names of the k targets of the gauge."""
     points: Floats
     """Coordinates (k, 3) [m] in the axes of the frame, origin at its centre."""
     first_targets: Ints
@@ -85,14 +85,14 @@ def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> lis
     return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
 
 
-def points_from_distances(n_points: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
+def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
     """Points (count, 3) [m] about their centre whose distances are, or are nearest to, the given ones.
 
     Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly
     centred squared distances. The axes follow the extents, longest first; signs are fixed by the first point.
     """
     squared = np.zeros((n_points, n_points))
-    squared[first, second] = squared[second, first] = lengths**2
+    squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
     centring = np.eye(n_points) - 1.0 / n_points
     value, vector = np.linalg.eigh(-0.5 * centring @ squared @ centring)
     largest = np.argsort(value)[::-1][:3]
@@ -102,9 +102,9 @@ def points_from_distances(n_points: int, first: Ints, second: Ints, lengths: Flo
     return points
 
 
-def expansion_factor(gauge: ScenarioGauge, workshop_c: float) -> float:
+def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
     """Growth factor of all lengths from calibration to workshop."""
-    measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
+    measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
     return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
 
 
@@ -114,28 +114,30 @@ def gauge_rotation(gauge: ScenarioGauge) -> Floats:
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
-def gauge_points_in_workshop(gauge: ScenarioGauge, frame: GaugeFrame, workshop_c: float) -> Floats:
+def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, workshop_temperature_c: float) -> Floats:
     """Points (k, 3) [m] of the frame at its position in the workshop and at the workshop's temperature."""
-    points: Floats = expansion_factor(gauge, workshop_c) * frame.points @ gauge_rotation(gauge).T
+    points: Floats = expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
-def length_sigmas(cmm: Cmm, length: Floats) -> Floats:
+def length_sigmas(measuring_machine: Cmm, lengths: Floats) -> Floats:
     """Standard deviation (g,) [m] of lengths (g,) [m]: largest permitted error of the machine over `coverage`."""
-    largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
-    return largest * MICROMETRE / cmm.coverage
+    largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
+    return largest * MICROMETRE / measuring_machine.coverage
 
 
-def measure_nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:
+def measure_nominal_points(
+    points: Floats, names: tuple[str, ...], measuring_machine: Cmm, seed: int, *stream_key: str | int
+) -> Floats:
     """Coordinates (T, 3) [m] of points (T, 3), with the errors of the measuring machine.
 
     Its largest permitted error A + L / K is divided into a random part A of each length, half of its variance at either
     end, and a scale error of each axis.
     """
-    random = cmm.constant_um * MICROMETRE / cmm.coverage / np.sqrt(2.0)
-    scale = MICROMETRE / MILLIMETRE / cmm.length_divisor_mm / cmm.coverage
-    axes = scale * stream(seed, *key, "cmm", "axes").standard_normal(3)
-    each = np.array([stream(seed, *key, "cmm", "point", name).standard_normal(3) for name in names])
+    random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
+    scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
+    axes = scale * stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
+    each = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
     centre = points.mean(axis=0)
-    error: Floats = cmm.noise_factor * ((points - centre) * axes + random * each.reshape(-1, 3))
+    error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * each.reshape(-1, 3))
     return points + error

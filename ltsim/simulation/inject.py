@@ -114,9 +114,9 @@ DETECTION_CURVE_TABLE = Table(
     "curve.csv",
     "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
     (
-        *numbers(form=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
-        *numbers(form=".4g", largest_um="Largest change of a distance, mean of the injections."),
-        *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
+        *numbers(format_text=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
+        *numbers(format_text=".4g", largest_um="Largest change of a distance, mean of the injections."),
+        *numbers(format_text=".4g", largest_urad="Largest change of an angle, mean of the injections."),
         *numbers(injections="Number of injections."),
         *numbers(
             detections="Number of injections with a new finding.",
@@ -124,8 +124,8 @@ DETECTION_CURVE_TABLE = Table(
             named="Those with a new finding of the right name.",
             right="Those whose first new finding has the right name and place.",
         ),
-        *numbers(form=".3f", detections_low="", detections_high=""),
-        *numbers(form=".3f", placed_low="", placed_high="", named_low="", named_high=""),
+        *numbers(format_text=".3f", detections_low="", detections_high=""),
+        *numbers(format_text=".3f", placed_low="", placed_high="", named_low="", named_high=""),
     ),
 )  # fmt: skip
 
@@ -164,11 +164,11 @@ class Injector:
         """Adjusted state: poses of the stations, positions of the targets."""
         return self.residual_space.adjustment.state
 
-    def reading_change(self, effect: CandidateEffect, values: Floats) -> Floats:
+    def reading_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
         """Change (n, 3) [m, rad, rad] of the readings by an effect, NaN for missing readings; 0 for noise."""
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
-            return effect.reading_change(sightings, values)
+            return effect.reading_change(sightings, effect_sizes)
         done, instrument = effect.measured_sightings(sightings), self.state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
@@ -176,74 +176,76 @@ class Injector:
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
-    def length_change(self, effect: CandidateEffect, values: Floats) -> Floats:
+    def length_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
         """Change (g,) [m] of the reference lengths by an effect."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
-        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ values
+        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ effect_sizes
 
-    def added_noise_sigma(self, effect: NoiseEffect, values: Floats) -> Floats:
+    def added_noise_sigma(self, effect: NoiseEffect, effect_sizes: Floats) -> Floats:
         """Standard deviation (n, 3) of the added noise."""
         sigma = self.recording.sigma()
-        added = effect.variance(self.residual_space.sightings, sigma, values) - sigma**2
+        added = effect.variance(self.residual_space.sightings, sigma, effect_sizes) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
             raise ModelError(f"{effect.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
-    def noncentrality(self, effect: CandidateEffect, values: Floats) -> float:
+    def noncentrality(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
         """Noncentrality of an effect after the adjustment; 0 if the network absorbs it."""
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
             used = np.flatnonzero(space.used_readings)
-            factor = 1.0 + (self.added_noise_sigma(effect, values) / space.sigma).reshape(-1)[used] ** 2
+            factor = 1.0 + (self.added_noise_sigma(effect, effect_sizes) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
-        change = np.nan_to_num(self.reading_change(effect, values))
-        whole = space.whiten(change[:, :, None], self.length_change(effect, values)[:, None])[:, 0]
-        projected = space.project(whole)
-        square = float(projected @ projected)
+        change = np.nan_to_num(self.reading_change(effect, effect_sizes))
+        whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
+        projected_signature = space.project(whole)
+        square = float(projected_signature @ projected_signature)
         return square if square > MIN_NUMERICAL_REDUNDANCY * float(whole @ whole) else 0.0
 
-    def scale_to_noncentrality(self, effect: CandidateEffect, values: Floats, noncentrality_goal: float) -> Floats:
+    def scale_to_noncentrality(
+        self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
+    ) -> Floats:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(noncentrality_goal)
         for _ in range(MAX_SCALING_STEPS):
-            noncentrality = self.noncentrality(effect, factor * values)
+            noncentrality = self.noncentrality(effect, factor * effect_sizes)
             if not noncentrality > 0.0 or (
                 noncentrality < (1.0 + NONCENTRALITY_TOLERANCE) * noncentrality_goal
-                and self._largest_relative_change(effect, factor * values) > bound
+                and self._largest_relative_change(effect, factor * effect_sizes) > bound
             ):
                 break
             if abs(noncentrality / noncentrality_goal - 1.0) < NONCENTRALITY_TOLERANCE:
-                return factor * values
+                return factor * effect_sizes
             factor *= float(np.clip(np.sqrt(noncentrality_goal / noncentrality), 1e-3, 1e3))
         raise ModelError(
             f"the network absorbs {effect.name} {effect.place_text}: "
             f"no plausible size gives a noncentrality of {noncentrality_goal:g}"
         )
 
-    def _largest_relative_change(self, effect: CandidateEffect, values: Floats) -> float:
+    def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
         """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
         moved = (
-            self.added_noise_sigma(effect, values)
+            self.added_noise_sigma(effect, effect_sizes)
             if isinstance(effect, NoiseEffect)
-            else self.reading_change(effect, values)
+            else self.reading_change(effect, effect_sizes)
         )
         return float(np.nanmax(np.abs(moved) / self.residual_space.sigma, initial=0.0))
 
     def inject(
-        self, effect: CandidateEffect, values: Floats, request_text: str, random_generator: np.random.Generator
+        self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
     ) -> tuple[Recording, InjectedEffect]:
         """Recording with an injected effect, and the entry of the effect."""
         if isinstance(effect, NoiseEffect):
-            change = self.added_noise_sigma(effect, values) * random_generator.standard_normal(
+            change = self.added_noise_sigma(effect, effect_sizes) * random_generator.standard_normal(
                 self.recording.readings.shape
             )
         else:
-            change = self.reading_change(effect, values)
+            change = self.reading_change(effect, effect_sizes)
         made = self.recording.with_readings(self.recording.readings + change)
-        lengths = self.length_change(effect, values)
-        if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
+        lengths = self.length_change(effect, effect_sizes)
+        if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
                 f"{request_text}: changes no reading; give a place that was measured, after the time if there is one"
             )
@@ -259,7 +261,7 @@ class Injector:
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
         return made, InjectedEffect(
-            effect, request_text, values, self.noncentrality(effect, values), largest_by_observable
+            effect, request_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
         )
 
     def with_recording(self, recording: Recording) -> Self:

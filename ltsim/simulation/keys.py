@@ -16,15 +16,15 @@ SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
 """Types of the values that are no tables."""
 
 
-def value_type_of_key(key: str) -> ValueType:
+def value_type_of_key(dotted_key: str) -> ValueType:
     """Type of the value at a dotted key; `table` for lists and tables, and for unknown keys."""
-    kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
+    kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
     return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
 
 
-def key_description(key: str) -> str:
+def key_description(dotted_key: str) -> str:
     """Meaning of a dotted key in the reference; empty for a user-defined name."""
-    nodes = (node for node, _ in schemas_at(Scenario, key.split(".")))
+    nodes = (node for node, _ in schemas_at(Scenario, dotted_key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
 
@@ -33,9 +33,9 @@ def _schema_type(schema_node: dict[str, Any]) -> str:
     return "integer" if isinstance(words[0], int) else str(schema_node.get("type", "string"))
 
 
-def unit_of(scenario: Scenario, key: str) -> str:
+def unit_of(scenario: Scenario, dotted_key: str) -> str:
     """Unit of the value at a dotted key, from the key or from the parameter that it names."""
-    *parents, last = key.split(".")
+    *parents, last = dotted_key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
             built = make_scenario_construction(scenario)
@@ -49,26 +49,27 @@ def unit_of(scenario: Scenario, key: str) -> str:
     return unit_of_key(last)
 
 
-def convert_value(scenario: Scenario, key: str, value: Any, where: str) -> Any:
+def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_location: str) -> Any:
     """Value in the unit of a key: a text such as ``2 urad`` becomes a number.
 
-    Raises SetupError, which names `where`, if the text is no quantity of the key's kind.
+    Raises SetupError, which names `error_location`, if the text is no quantity of the key's kind.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
-    unit = unit_of(scenario, key)
+    unit = unit_of(scenario, dotted_key)
     number = parse_in_unit(value, unit) if unit else None
     if unit and number is None:
         raise SetupError(
-            f"{where}: {key} is '{quoted_text(value)}', but it is in {unit}: write a number, or one of {unit}"
+            f"{error_location}: {dotted_key} is '{quoted_text(value)}', but it is in {unit}: "
+            f"write a number, or one of {unit}"
         )
     return value if number is None else number
 
 
-def value_at_key(table: dict[str, Any], key: str) -> Any:
+def value_at_key(table: dict[str, Any], dotted_key: str) -> Any:
     """Value at a dotted key in the tables of a scenario; None if there is none."""
     inner: Any = table
-    for part in key.split("."):
+    for part in dotted_key.split("."):
         if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):
             inner = inner[int(part) - 1]
         else:

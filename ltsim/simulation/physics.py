@@ -74,10 +74,12 @@ def instrument_resolutions(scenario: Scenario) -> Floats:
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
-def round_to_resolution(readings: Floats, step: Floats) -> Floats:
-    """Readings (n, 3) rounded to multiples of `step` (3,) or (n, 3) [m, rad, rad]; a step of 0 does not round."""
-    step = np.broadcast_to(step, readings.shape)
-    return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
+def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
+    """Readings (n, 3) rounded to multiples of `resolution` (3,) or (n, 3) [m, rad, rad]; a step of 0 does not round."""
+    resolution = np.broadcast_to(resolution, readings.shape)
+    return np.where(
+        resolution > 0.0, resolution * np.round(readings / np.where(resolution > 0.0, resolution, 1.0)), readings
+    )
 
 
 def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
@@ -97,10 +99,12 @@ def reflector_error_parameters(scenario: Scenario) -> Floats:
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
-def _effect_from_entry(entry: EffectEntry, number: int) -> Effect:
-    effect = entry.effect(f"effects.{number}")
+def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:
+    effect = effect_entry.effect(f"effects.{entry_number}")
     names = [p.name for p in effect.parameters]
-    for name in entry.values:
+    for name in effect_entry.values:
         if name not in names:
-            raise SetupError(f"effects.{number}.values: {entry.name} has no '{name}', it has {', '.join(names)}")
+            raise SetupError(
+                f"effects.{entry_number}.values: {effect_entry.name} has no '{name}', it has {', '.join(names)}"
+            )
     return effect

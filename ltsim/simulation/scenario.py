@@ -134,17 +134,17 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     return validate_scenario(data, path)
 
 
-def validate_scenario(data: Mapping[str, Any], file: Path) -> Scenario:
+def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its tables; `file` is named in errors, and its folder contains CAD files."""
     with as_setup_error():
-        whole = with_completed_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
+        whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(whole, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
-def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
-    """Scenario with some values changed by dotted key, validated again; `file` and `where` are named in errors.
+def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
+    """Scenario with some values changed by dotted key, validated again; errors name `file` and `error_location`.
 
     The `preset` of a tracker also sets its noise, its prior and its limits (or asks for them). Raises SetupError for an
     invalid key or value.
@@ -156,7 +156,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
-        _set_key(table, key, _file_value(value, effects=key == "effects"), where or str(file))
+        _set_key(table, key, _file_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
 
@@ -171,7 +171,7 @@ def _file_value(value: Any, *, effects: bool) -> Any:
     return [e.model_dump(mode="json", exclude_defaults=True) if isinstance(e, EffectEntry) else e for e in entries]
 
 
-def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
     """Assignment to one dotted key of nested tables.
 
     Entries of lists are numbered from 1, and the value `REMOVAL_VALUE` removes the key.
@@ -185,21 +185,22 @@ def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:
             inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, (dict, list)):
             through = f"{quoted_text(key)} goes through {quoted_text(name)}"
-            raise SetupError(f"{where}: {through}, which is not a table of the scenario")
+            raise SetupError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(inner, dict):
-        raise SetupError(f"{where}: {quoted_text(key)} is not a key of a table; entries of a list are numbered from 1")
+        text = quoted_text(key)
+        raise SetupError(f"{error_location}: {text} is not a key of a table; entries of a list are numbered from 1")
     if value == REMOVAL_VALUE:
         inner.pop(last, None)
     else:
         inner[last] = value
 
 
-def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     """Tables of a scenario, with those of its base as defaults."""
-    if data.get("base") is None:
-        return data
-    below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    merged = merge_defaults(data, below)
+    if tables.get("base") is None:
+        return tables
+    below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
+    merged = merge_defaults(tables, below)
     return {key: value for key, value in merged.items() if key != "base" and value != REMOVAL_VALUE}
 
 
@@ -288,8 +289,8 @@ def _resolve_paths(scenario: Scenario, file: Path) -> Scenario:
     return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": obstacles})})
 
 
-def _local_path(name: str, folder: Path) -> Path:
-    named, copied = folder / name, folder / Path(name).name
+def _local_path(file_name: str, folder: Path) -> Path:
+    named, copied = folder / file_name, folder / Path(file_name).name
     return copied if copied.is_file() and not named.is_file() else named
 
 
@@ -304,11 +305,11 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def unknown_name_sentence(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
-    """Sentence for a name that is not in a list; `none` is the text for an empty list."""
-    if name not in existing:
-        listed = ", ".join([*existing][:MAX_NAMES_IN_ERROR]) + (" ..." if len(existing) > MAX_NAMES_IN_ERROR else "")
-        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or none}"
+def unknown_name_sentence(key: str, name: str, names: Collection[str], if_empty: str = "") -> Iterator[str]:
+    """Sentence for a name that is not in a list; `if_empty` is the text for an empty list."""
+    if name not in names:
+        listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
+        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or if_empty}"
 
 
 def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
@@ -384,9 +385,9 @@ def _effect_errors(scenario: Scenario) -> Iterator[str]:
             yield from unknown_name_sentence(f"effects.{i}.targets", name, scenario.target_names)
 
 
-def tracker_table_name(name: str) -> str:
+def tracker_table_name(tracker_name: str) -> str:
     """Name of the scenario table of the tracker with this name; '' for the unnamed one."""
-    return f"instruments.{name}" if name else "instrument"
+    return f"instruments.{tracker_name}" if tracker_name else "instrument"
 
 
 def scenario_to_toml(scenario: Scenario) -> str:

@@ -57,10 +57,10 @@ misalignments that a knock leaves.
 """
 
 
-def _existing_preset(name: str) -> str:
-    if name not in PRESETS and name not in data_sheet_names():
+def _existing_preset(preset_name: str) -> str:
+    if preset_name not in PRESETS and preset_name not in data_sheet_names():
         raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
-    return name
+    return preset_name
 
 
 class Obstacle(TomlSection):
@@ -373,12 +373,12 @@ class PlacedEffect(TomlSection):
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in units of display if the effect declares one, otherwise in SI."""
 
-    def effect(self, where: str) -> Effect:
-        """Effect object of the entry; raises SetupError that names `where` and the permitted values."""
+    def effect(self, error_location: str) -> Effect:
+        """Effect object of the entry; raises SetupError that names `error_location` and the permitted values."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
-            raise SetupError(f"{where}: {problem}") from None
+            raise SetupError(f"{error_location}: {problem}") from None
 
 
 class EffectEntry(PlacedEffect):
@@ -390,9 +390,9 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def from_effect(cls, effect_with_sizes: Effect | SizedEffect) -> Self:
+    def from_effect(cls, source: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        sized = effect_with_sizes if isinstance(effect_with_sizes, SizedEffect) else SizedEffect(effect_with_sizes, {})
+        sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

@@ -57,21 +57,30 @@ def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int
 
 
 def measure_trial(
-    geometry: MeasurementGeometry, seed: int, trial: int = 0, *, values: Floats | None = None, stream_key: str = ""
+    geometry: MeasurementGeometry,
+    seed: int,
+    trial_number: int = 0,
+    *,
+    true_instrument_errors: Floats | None = None,
+    stream_key: str = "",
 ) -> tuple[Recording, Truth]:
     """Recording and truth of a trial on a fixed geometry; instrument errors, gauge calibration and noise are drawn.
 
-    `values` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in `TrialDistributions.draw`.
+    `true_instrument_errors` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in
+    `TrialDistributions.draw`.
     """
     blank = error_free_recording(geometry)
-    given = None if values is None else values[:, :, None]
+    given = None if true_instrument_errors is None else true_instrument_errors[:, :, None]
     drawn = trial_distributions(geometry, blank).draw(
-        StandardNormalSource(seed, np.array([trial])), given, stream_key=stream_key
+        StandardNormalSource(seed, np.array([trial_number])), given, stream_key=stream_key
     )
-    values, amounts = drawn.instrument_values[:, :, 0], tuple(amount[:, 0] for amount in drawn.effect_values)
-    readings = simulate_readings(geometry, values, amounts, drawn.reading_errors[:, :, 0])
+    true_instrument_errors, amounts = (
+        drawn.instrument_values[:, :, 0],
+        tuple(amount[:, 0] for amount in drawn.effect_values),
+    )
+    readings = simulate_readings(geometry, true_instrument_errors, amounts, drawn.reading_errors[:, :, 0])
     recording = with_certificates(blank.with_readings(readings), drawn.certified_lengths[:, 0])
-    return recording, _truth_of_trial(geometry, values, amounts, seed, trial)
+    return recording, _truth_of_trial(geometry, true_instrument_errors, amounts, seed, trial_number)
 
 
 def error_free_recording(geometry: MeasurementGeometry) -> Recording:
@@ -97,7 +106,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
     )
 
 
-def trial_distributions(geometry: MeasurementGeometry, error_free: Recording) -> TrialDistributions:
+def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Recording) -> TrialDistributions:
     """Distributions of the trials on a geometry; `error_free_recording` is its error-free recording."""
     scenario = geometry.scenario
     mean, sigma = instrument_error_distribution(scenario, geometry.construction)
@@ -108,25 +117,25 @@ def trial_distributions(geometry: MeasurementGeometry, error_free: Recording) ->
         instrument_means=mean,
         instrument_sigmas=sigma,
         noise_sigmas=nominal_noise(scenario, geometry.sightings),
-        reference_lengths=ReferenceLengths.from_recording(error_free),
-        length_end_names=error_free.targets,
+        reference_lengths=ReferenceLengths.from_recording(error_free_recording),
+        length_end_names=error_free_recording.targets,
         effects=effect_distributions(scenario, geometry.effects),
         certificate_factor=scenario.cmm.noise_factor,
     )
 
 
 def simulate_readings(
-    geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...], noise: Floats
+    geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...], noise: Floats
 ) -> Floats:
     """Raw readings (n, 3) with noise and rounding; NaN for observables that are not recorded.
 
-    `instrument` (I, p) [SI] are the errors of the trackers, `values` has parameters (q,) [SI] for each effect of
-    `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
+    `instrument` (I, p) [SI] are the errors of the trackers, `true_instrument_errors` has parameters (q,) [SI] for each
+    effect of `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
     """
-    readings = exact_readings(geometry, instrument, values) + noise
+    readings = exact_readings(geometry, instrument, effect_sizes) + noise
     readings[:, 1] = wrap_angle(readings[:, 1])
     readings = round_to_resolution(readings, instrument_resolutions(geometry.scenario)[geometry.sightings.instrument])
-    for mistake in occurring_blunders(geometry.effects, values):
+    for mistake in occurring_blunders(geometry.effects, effect_sizes):
         readings = mistake.recorded_readings(geometry.sightings, readings)
     recorded = [
         [name in tracker.observables for name in OBSERVABLES] for tracker in geometry.scenario.trackers_in_use.values()
@@ -134,25 +143,25 @@ def simulate_readings(
     return np.where(np.array(recorded)[geometry.sightings.instrument], readings, np.nan)
 
 
-def exact_readings(geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
+def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...]) -> Floats:
     """Raw readings (n, 3) without noise: the exact construction, then effects in the order of their stages.
 
-    `instrument` and `values` as of `simulate_readings`.
+    `instrument` and `true_instrument_errors` as of `simulate_readings`.
     """
     sightings = geometry.sightings
-    for mistake in occurring_blunders(geometry.effects, values):
+    for mistake in occurring_blunders(geometry.effects, effect_sizes):
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = geometry.construction.readings(sightings.local_points, sightings.face, errors)
     for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
         if not isinstance(geometry.effects[k], Blunder):
-            readings = readings + geometry.effects[k].reading_change(sightings, values[k])
+            readings = readings + geometry.effects[k].reading_change(sightings, effect_sizes[k])
     return readings
 
 
-def occurring_blunders(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Blunder]:
+def occurring_blunders(effects: Sequence[Effect], effect_sizes: Sequence[Floats]) -> list[Blunder]:
     """Blunders that occur in a trial: their parameter is not 0."""
-    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
+    return [e for e, made in zip(effects, effect_sizes, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
@@ -160,11 +169,11 @@ def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
-def _ineffective_reason(work: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
-    for effect in work.effects:
-        if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
+def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
+    for effect in geometry.effects:
+        if isinstance(effect, NoiseEffect) or np.any(effect.design(geometry.sightings)):
             continue
-        if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, work.sightings.target_points)):
+        if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, geometry.sightings.target_points)):
             continue
         yield f"{effect.name} changes no reading here"
 
@@ -209,8 +218,8 @@ def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
 
 
-def _rounded_position(place: Vector, step: float) -> Vector:
-    x, y, z = (step * round(value / step) for value in place)
+def _rounded_position(position: Vector, rounding_step: float) -> Vector:
+    x, y, z = (rounding_step * round(value / rounding_step) for value in position)
     return x, y, z
 
 
@@ -228,7 +237,7 @@ def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
 
 
 def _truth_of_trial(
-    geometry: MeasurementGeometry, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int
+    geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...], seed: int, trial: int
 ) -> Truth:
     s, scenario = geometry.sightings, geometry.scenario
     trackers = scenario.trackers_in_use
@@ -243,7 +252,7 @@ def _truth_of_trial(
         station_rotations=s.station_rotations,
         target_points=s.target_points,
         instrument_values=dict(zip(names, instrument.ravel().tolist(), strict=True)),
-        effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, values, strict=True)),
+        effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, effect_sizes, strict=True)),
         nominal_points=nominal,
     )
     units = [p.unit for p in geometry.construction.parameters] * len(trackers)

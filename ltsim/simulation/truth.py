@@ -100,11 +100,11 @@ class TrueInstrumentValue(TrueParameterValue):
     """Name of the instrument; empty for a single unnamed one."""
 
     @classmethod
-    def from_si(cls, flat_name: str, value: float, unit: str) -> Self:
-        """Entry of a value [SI]; `flat_name` has the form of `Construction.instrument_parameter_names`."""
-        name, _, instrument = flat_name.partition("@")
+    def from_si(cls, parameter_name: str, value_si: float, unit: str) -> Self:
+        """Entry of a value [SI]; `parameter_name` has the form of `Construction.instrument_parameter_names`."""
+        name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
-        return cls(name=name, value=value / SI_PER_UNIT[unit], unit=unit, **whose)
+        return cls(name=name, value=value_si / SI_PER_UNIT[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
@@ -124,12 +124,12 @@ class TrueEffect(Entry):
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in units of display if the effect declares one, otherwise in SI."""
     parameters: tuple[TrueParameterValue, ...] = ()
-    """True values of its parameters."""
+    """True values of the parameters of the effect."""
 
     @classmethod
-    def from_applied(cls, applied: AppliedEffect) -> Self:
+    def from_applied(cls, applied_effect: AppliedEffect) -> Self:
         """The entry of an effect."""
-        effect, values = applied.effect, applied.parameter_values.tolist()
+        effect, values = applied_effect.effect, applied_effect.parameter_values.tolist()
         return cls(
             effect=effect.name,
             stations=effect.stations,
@@ -210,25 +210,29 @@ class Truth(ResultFile):
     @classmethod
     def from_arrays(
         cls,
-        arrays: TruthArrays,
+        truth_arrays: TruthArrays,
         stations: Sequence[str],
         targets: Sequence[str],
-        units: Sequence[str],
-        **fields: object,
+        parameter_units: Sequence[str],
+        **other_fields: object,
     ) -> Self:
         """Truth from arrays, with names of stations and targets and units of parameters.
 
-        `fields` are other fields of the model.
+        `other_fields` are other fields of the model.
         """
-        nominal = {} if arrays.nominal_points is None else {"nominal": _point_entries(targets, arrays.nominal_points)}
+        nominal = (
+            {}
+            if truth_arrays.nominal_points is None
+            else {"nominal": _point_entries(targets, truth_arrays.nominal_points)}
+        )
         made = cls.model_validate(
             {
-                **fields,
+                **other_fields,
                 "parameters": tuple(
                     TrueInstrumentValue.from_si(name, value, unit)
-                    for (name, value), unit in zip(arrays.instrument_values.items(), units, strict=True)
+                    for (name, value), unit in zip(truth_arrays.instrument_values.items(), parameter_units, strict=True)
                 ),
-                "effects": tuple(map(TrueEffect.from_applied, arrays.effects)),
+                "effects": tuple(map(TrueEffect.from_applied, truth_arrays.effects)),
                 "stations": tuple(
                     TruePose(
                         name=p.name,
@@ -236,14 +240,16 @@ class Truth(ResultFile):
                         rotation_quaternion=quaternion_from_matrix(turn).tolist(),
                     )
                     for p, turn in zip(
-                        _point_entries(stations, arrays.station_positions), arrays.station_rotations, strict=True
+                        _point_entries(stations, truth_arrays.station_positions),
+                        truth_arrays.station_rotations,
+                        strict=True,
                     )
                 ),
-                "targets": _point_entries(targets, arrays.target_points),
+                "targets": _point_entries(targets, truth_arrays.target_points),
                 **nominal,
             }
         )
-        made._arrays = arrays
+        made._arrays = truth_arrays
         return made
 
     @property

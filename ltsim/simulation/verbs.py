@@ -93,6 +93,6 @@ def simulate(
     >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
-    check_bounds(seed=seed, trial=trial, required="seed trial")
+    check_bounds(seed=seed, trial=trial, required_argument="seed trial")
     check_choice("geometry", geometry, get_args(GeometrySharing))
     return SimulatedRecording(*measured(scenario(source, changes), seed, trial, geometry))

@@ -146,28 +146,34 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     return parts
 
 
-def _placed_triangles(entry: Obstacle, triangles: Floats) -> Floats:
-    return place_triangles(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
-
-
-def _implausible_place_question(entry: Obstacle, body: PlacedObstacle, cad: CadFile, room: Floats) -> str:
-    """Question to the user about an obstacle that extends beyond the room; empty for none."""
-    if entry.beyond_room or is_inside_room(body.triangles, room):
-        return ""
-    other = "z" if cad.vertical_axis == "y" else "y"
-    turned = _placed_triangles(entry, cad.with_other_vertical)
-    size = " x ".join(f"{v:g}" for v in room)
-    what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
-    fits = f'with up = "{other}" it is inside the room' if is_inside_room(turned, room) else "move it by position_mm"
-    return (
-        f"{cad.file}: {what} of {size} m ({cad.interpretation_text}: {extent_text(body.triangles)}); {fits}; "
-        "if this is correct, set beyond_room = true"
+def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
+    return place_triangles(
+        triangles, np.array(obstacle_entry.position_mm) * MILLIMETRE, obstacle_entry.yaw_deg * DEGREE
     )
 
 
-def make_visibility(scenario: Scenario, layout: WorkshopLayout | None = None) -> Visibility:
+def _implausible_place_question(
+    obstacle_entry: Obstacle, placed_body: PlacedObstacle, cad_file: CadFile, room_size: Floats
+) -> str:
+    """Question to the user about an obstacle that extends beyond the room; empty for none."""
+    if obstacle_entry.beyond_room or is_inside_room(placed_body.triangles, room_size):
+        return ""
+    other = "z" if cad_file.vertical_axis == "y" else "y"
+    turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
+    size = " x ".join(f"{v:g}" for v in room_size)
+    what = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
+    fits = (
+        f'with up = "{other}" it is inside the room' if is_inside_room(turned, room_size) else "move it by position_mm"
+    )
+    return (
+        f"{cad_file.file}: {what} of {size} m ({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
+        f"{fits}; if this is correct, set beyond_room = true"
+    )
+
+
+def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None = None) -> Visibility:
     """Visibility in a scenario as planned or with another layout, with the limits of each tracker."""
-    there = planned_layout(scenario) if layout is None else layout
+    there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)
     stations_of_tracker = [
         [there.station_names.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers_in_use
@@ -178,8 +184,8 @@ def make_visibility(scenario: Scenario, layout: WorkshopLayout | None = None) ->
             there.target_points,
             make_sight_limits(scenario, tracker),
             rotation=there.station_rotations[stations],
-            nest_normal=there.nest_normals,
-            reaimed=there.is_reaimed,
+            nest_normals=there.nest_normals,
+            is_reaimed=there.is_reaimed,
             obstacles=obstacles,
         )
         for stations, tracker in zip(stations_of_tracker, scenario.trackers_in_use.values(), strict=True)

@@ -26,7 +26,7 @@ ROUNDING_TOLERANCE = 1e-9
 """Relative size below which a slope counts as zero (rounding)."""
 
 
-def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats | None = None) -> Floats:
+def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
     """Solution (k,) of ``min sum |goal - design @ x|``.
 
     Raises NetworkError if the descent does not end, which only rounding can cause.
@@ -36,14 +36,18 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats 
     design : (m, k) float
         Design matrix of full rank.
     observations : (m,) float
-    start : (k,) float, optional
+    start_solution : (k,) float, optional
         Start point; the solution does not depend on it.
     """
-    x = np.asarray(np.linalg.lstsq(design, observations, rcond=None)[0], dtype=np.float64) if start is None else start
+    x = (
+        np.asarray(np.linalg.lstsq(design, observations, rcond=None)[0], dtype=np.float64)
+        if start_solution is None
+        else start_solution
+    )
     usual = float(np.median(np.abs(observations - design @ x)))
     if not usual > 0.0 or not design.shape[1]:
         return x
-    if start is None:
+    if start_solution is None:
         for floor in usual * np.geomspace(1.0, 0.01, MAX_VERTEX_SEARCHES):
             weighted = design / np.maximum(np.abs(observations - design @ x), floor)[:, None]
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
@@ -53,9 +57,9 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start: Floats 
     return np.asarray(np.linalg.solve(design[met], observations[met]), dtype=np.float64)
 
 
-def _optimal_vertex(design: Floats, observations: Floats, start: Floats) -> Ints:
+def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
     """Rows (k,) with zero residual at the optimal vertex, found by steepest-edge descent."""
-    met = _first_vertex(design, observations, start)
+    met = _first_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
         inverse = np.linalg.inv(design[met])
         residual = observations - design @ (inverse @ observations[met])
@@ -71,18 +75,18 @@ def _optimal_vertex(design: Floats, observations: Floats, start: Floats) -> Ints
     raise NetworkError(f"least absolute deviations: no solution after {MAX_DESCENT_EDGES} steps; check the readings")
 
 
-def _first_vertex(design: Floats, observations: Floats, start: Floats) -> Ints:
+def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
     """Independent rows (k,) with nearly zero residuals at a point near the optimum."""
-    residual, count = np.abs(observations - design @ start), design.shape[1]
+    residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
-    scaled = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
-    pivots = scipy.linalg.qr(scaled.T, mode="r", pivoting=True)[1]
+    scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
+    pivots = scipy.linalg.qr(scaled_design.T, mode="r", pivoting=True)[1]
     return order[pivots[:count]]
 
 
-def _entering_row(residual: Floats, direction_image: Floats, slope: float) -> int:
+def _entering_row(residual: Floats, edge_residual_rate: Floats, edge_derivative: float) -> int:
     """Row at which the sum of absolute residuals stops decreasing along an edge: a weighted median."""
-    ahead = np.flatnonzero(residual * direction_image > 0.0)
-    order = ahead[np.argsort(residual[ahead] / direction_image[ahead])]
-    risen = np.cumsum(2.0 * np.abs(direction_image[order]))
-    return int(order[min(int(np.searchsorted(risen, slope)), len(order) - 1)])
+    ahead = np.flatnonzero(residual * edge_residual_rate > 0.0)
+    order = ahead[np.argsort(residual[ahead] / edge_residual_rate[ahead])]
+    risen = np.cumsum(2.0 * np.abs(edge_residual_rate[order]))
+    return int(order[min(int(np.searchsorted(risen, edge_derivative)), len(order) - 1)])

@@ -169,15 +169,19 @@ class BlockChain:
             later = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
-    def _block_span(self, i: int) -> tuple[int, int, int]:
+    def _block_span(self, block_index: int) -> tuple[int, int, int]:
         """Begin and end of a block, and the end of the next one."""
         last = len(self._block_limits) - 2
-        return int(self._block_limits[i]), int(self._block_limits[i + 1]), int(self._block_limits[min(i + 2, last)])
+        return (
+            int(self._block_limits[block_index]),
+            int(self._block_limits[block_index + 1]),
+            int(self._block_limits[min(block_index + 2, last)]),
+        )
 
 
-def inverse_from_cholesky(cholesky_factor: Floats) -> Floats:
+def inverse_from_cholesky(lower_factor: Floats) -> Floats:
     """Inverse of a matrix from its lower Cholesky factor."""
-    if not len(cholesky_factor):
-        return cholesky_factor
-    lower, _ = scipy.linalg.lapack.dpotri(cholesky_factor, lower=1)
+    if not len(lower_factor):
+        return lower_factor
+    lower, _ = scipy.linalg.lapack.dpotri(lower_factor, lower=1)
     return np.tril(lower) + np.tril(lower, -1).T

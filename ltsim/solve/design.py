@@ -32,27 +32,27 @@ class SparsityPattern:
     columns : sequence of (r, w) int
         Column of each of the w entries of a row, for each kind of row in the order of the design; entries of the same
         column are added.
-    size : int
+    n_columns : int
         Number of columns of the design.
     """
 
-    def __init__(self, columns: Sequence[Ints], size: int) -> None:
+    def __init__(self, columns: Sequence[Ints], n_columns: int) -> None:
         widths = np.repeat([kind.shape[1] for kind in columns], [len(kind) for kind in columns])
         pointers = np.concatenate([[0], np.cumsum(widths)])
         small = np.int32 if pointers[-1] < 2**31 else np.int64
         indices = np.empty(int(pointers[-1]), dtype=small)
         np.concatenate([kind.ravel() for kind in columns], out=indices, casting="same_kind")
-        self._shape, self._n_entries = (len(widths), size), len(indices)
-        self._is_dense = len(widths) * size <= MAX_DENSE_ENTRIES
+        self._shape, self._n_entries = (len(widths), n_columns), len(indices)
+        self._is_dense = len(widths) * n_columns <= MAX_DENSE_ENTRIES
         if self._is_dense:
-            self._flat_positions = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
+            self._flat_positions = np.repeat(n_columns * np.arange(len(widths)), widths) + indices.astype(np.int64)
         else:
             self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
-    def fill(self, values: Iterable[Floats]) -> DesignMatrix:
+    def fill(self, design_entries: Iterable[Floats]) -> DesignMatrix:
         """Design (m, size) with these values, which have the shape of `columns`; each is copied in turn."""
         entries, end = np.empty(self._n_entries), 0
-        for kind in values:
+        for kind in design_entries:
             begin, end = end, end + kind.size
             entries[begin:end] = kind.ravel()
         if self._is_dense:
@@ -81,21 +81,21 @@ def column_scale(design: DesignMatrix) -> Floats:
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
-def scale_columns(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
+def scale_columns(rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
     """Rows with every column multiplied by its scale."""
-    return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
+    return sp.csr_array((rows.data * column_factors[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
-def iterate_row_pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
+def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
     """Iterator over batches of rows of a sparse design, with every column multiplied by its scale."""
     for first in range(0, design.shape[0], ROWS_PER_PIECE):
-        yield scale_columns(design[first : first + ROWS_PER_PIECE], scale)
+        yield scale_columns(design[first : first + ROWS_PER_PIECE], column_factors)
 
 
-def gram_matrix(row_pieces: Iterable[sp.csr_array], size: int) -> sp.csr_array:
-    """Product A' A (size, size) of a sparse design of which `row_pieces` are the rows."""
-    total = sp.csr_array((size, size))
-    for part in row_pieces:
+def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
+    """Product A' A (size, size) of a sparse design of which `row_batches` are the rows."""
+    total = sp.csr_array((n_columns, n_columns))
+    for part in row_batches:
         total = total + sp.csr_array(part.T @ part)
     return sp.csr_array(total)
 
@@ -127,30 +127,30 @@ POINT_RANK_TOLERANCE = 1e-10
 undetermined: its standard deviation is 100,000 times that of the other directions."""
 
 
-def scale_to_unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:
+def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:
     """Symmetric matrices (..., k, k) divided by the column norms, and these scales (..., k).
 
-    `size` (..., k) are squared norms.
+    `n_columns` (..., k) are squared norms.
     """
-    scale = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
-    scaled: Floats = matrices * scale[..., :, None] * scale[..., None, :]
+    scale = 1.0 / np.sqrt(np.where(diagonals > 0.0, diagonals, 1.0))
+    scaled: Floats = symmetric_matrices * scale[..., :, None] * scale[..., None, :]
     return scaled, scale
 
 
-def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
+def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
     """Lower Cholesky factors (b, k, k) of normal matrices of unit columns, and flags (b,) of the determined ones.
 
     Other factors are NaN. Eigenvalues are computed only for matrices with a doubtful pivot.
     """
     try:
-        roots: Floats = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+        roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)
         doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > MIN_RELIABLE_PIVOT)
     except np.linalg.LinAlgError:
-        roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
+        roots, doubtful = np.full_like(normal_matrices, np.nan), np.ones(len(normal_matrices), dtype=bool)
     if doubtful.any():
-        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > NORMAL_RANK_TOLERANCE
-        factors = np.full_like(matrices[doubtful], np.nan)
-        factors[definite] = np.linalg.cholesky(matrices[doubtful][definite])
+        definite = np.linalg.eigvalsh(normal_matrices[doubtful])[:, 0] > NORMAL_RANK_TOLERANCE
+        factors = np.full_like(normal_matrices[doubtful], np.nan)
+        factors[definite] = np.linalg.cholesky(normal_matrices[doubtful][definite])
         roots[doubtful] = factors
     determined: Bools = ~np.isnan(roots[:, -1, -1])
     return roots, determined

@@ -79,9 +79,9 @@ class DenseElimination:
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, rows, lower=True, check_finite=False)
         return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows."""
-        for low, high in pairwise(group_limits.tolist()):
+        for low, high in pairwise(group_boundaries.tolist()):
             group = rows[low:high].toarray() * self.column_scales
             yield group @ self.solve(group.T)
 
@@ -172,16 +172,16 @@ class SparseElimination:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""
         rows = scale_columns(rows, self.column_scales)
         back = sp.csr_array(rows[:, self._n_reduced :])
         reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
         carried = sp.csr_array(back @ _block_diagonal(self._block_inverses))
-        if not len(group_limits) > 1:
+        if not len(group_boundaries) > 1:
             return
         inverse = self.reduced_inverse
-        for low, high in pairwise(group_limits.tolist()):
+        for low, high in pairwise(group_boundaries.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ inverse[columns[:, None], columns] @ front.T
             carry, columns = dense_rows(carried, low, high)
@@ -201,20 +201,23 @@ def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -
     return order, np.searchsorted(block[order], np.arange(n_blocks + len(alone) + 1)), back
 
 
-def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
+def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
     """Rows low to high as a dense array on the columns (k,) with entries, or on given sorted ones; these columns.
 
     Entries in other columns are ignored.
     """
-    begin, end = matrix.indptr[low], matrix.indptr[high]
+    begin, end = matrix.indptr[first_row], matrix.indptr[end_row]
     indices = matrix.indices[begin:end]
-    row, data = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1])), matrix.data[begin:end]
+    row, data = (
+        np.repeat(np.arange(end_row - first_row), np.diff(matrix.indptr[first_row : end_row + 1])),
+        matrix.data[begin:end],
+    )
     if columns is None:
         columns = np.unique(indices)
     at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column takes what stands in none
     at[np.append(columns, -1)[at] != indices] = width - 1
-    dense: Floats = np.asarray(np.bincount(row * width + at, data, (high - low) * width), dtype=np.float64)
-    return dense.reshape(high - low, width)[:, :-1], columns
+    dense: Floats = np.asarray(np.bincount(row * width + at, data, (end_row - first_row) * width), dtype=np.float64)
+    return dense.reshape(end_row - first_row, width)[:, :-1], columns
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
@@ -277,20 +280,20 @@ class BlockFactor:
 
     Parameters
     ----------
-    system : BlockSystem
+    block_system : BlockSystem
     damping : float
         Added to the unit diagonal of the scaled normal matrix.
     """
 
     @single_threaded
-    def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
-        self._system, self._damping, design = system, damping, system.design
+    def __init__(self, block_system: BlockSystem, damping: float = 0.0) -> None:
+        self._system, self._damping, design = block_system, damping, block_system.design
         self._elimination: DenseElimination | SparseElimination
         try:
             if isinstance(design, np.ndarray):
-                self._elimination = DenseElimination(design, system.n_reduced, damping)
+                self._elimination = DenseElimination(design, block_system.n_reduced, damping)
             else:
-                self._elimination = SparseElimination(design, system.n_reduced, damping)
+                self._elimination = SparseElimination(design, block_system.n_reduced, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED_MESSAGE) from error
         self._column_scales = self._elimination.column_scales
@@ -348,9 +351,9 @@ class BlockFactor:
         """Smallest pivot for unit columns."""
         return self._elimination.smallest_pivot
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_limits: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of groups of functions (q, K + 3 E); group i has the rows edges[i] to edges[i + 1]."""
-        return self._elimination.covariances_of_functions(rows, group_limits)
+        return self._elimination.covariances_of_functions(rows, group_boundaries)
 
     @single_threaded
     def leverage(self) -> Floats:

@@ -37,7 +37,7 @@ class LeastSquaresProblem(Protocol[Point]):
     def whitened_residuals(self, x: Point) -> Floats:
         """Whitened residual of that system alone."""
 
-    def retract(self, x: Point, step: Floats) -> Point:
+    def retract(self, point: Point, step: Floats) -> Point:
         """Point that a step from x leads to."""
 
 
@@ -81,18 +81,18 @@ class Solution(Generic[Point]):
         return self
 
 
-def solution_for_plan(problem: LeastSquaresProblem[Point], x: Point) -> Solution[Point]:
+def solution_for_plan(problem: LeastSquaresProblem[Point], point: Point) -> Solution[Point]:
     """Solution of planned observations at x: it has precision, but no readings.
 
     Raises SingularSystemError if they leave a direction undetermined.
     """
-    system = problem.linearise(x)
-    return Solution(x, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
+    system = problem.linearise(point)
+    return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
 
 
-def solve(problem: LeastSquaresProblem[Point], start: Point, *, max_iterations: int = 30) -> Solution[Point]:
-    """Minimum of a sum of squares from `start` in at most `max_iterations` iterations."""
-    x, damping, before, held = start, 0.0, float("inf"), False
+def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterations: int = 30) -> Solution[Point]:
+    """Minimum of a sum of squares from `start_point` in at most `max_iterations` iterations."""
+    x, damping, before, held = start_point, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, max_iterations + 1):
         factor, damping = _damped_factor(system, damping)
@@ -129,61 +129,68 @@ def solve(problem: LeastSquaresProblem[Point], start: Point, *, max_iterations: 
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < SQUARED_STEP_TOLERANCE:
-                return _finish(x, system, iteration, TerminationStatus.CONVERGED, held=held)
+                return _finish(x, system, iteration, TerminationStatus.CONVERGED, had_regular_normals=held)
         elif damping > 1e8:
-            return _finish(x, system, iteration, TerminationStatus.STALLED, held=held)
+            return _finish(x, system, iteration, TerminationStatus.STALLED, had_regular_normals=held)
         else:
             damping = max(10 * damping, 1e-6)
-    return _finish(x, system, max_iterations, TerminationStatus.MAX_ITERATIONS_REACHED, held=held)
+    return _finish(x, system, max_iterations, TerminationStatus.MAX_ITERATIONS_REACHED, had_regular_normals=held)
 
 
-def _squared_step_length(system: BlockSystem, step: Floats) -> float:
+def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
     """Squared length of a step in standard deviations."""
-    moved = system.design @ step
+    moved = block_system.design @ step
     return float(moved @ moved)
 
 
 def _step_with_previous_design(
-    problem: LeastSquaresProblem[Point], x: Point, system: BlockSystem, factor: BlockFactor
+    problem: LeastSquaresProblem[Point], point: Point, block_system: BlockSystem, factor: BlockFactor
 ) -> tuple[Point, BlockSystem] | None:
     """Final point and system by a step with the previous design; None if the iteration has not converged with it.
 
     After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
     found there, ends below the tolerance.
     """
-    residual = problem.whitened_residuals(x)
+    residual = problem.whitened_residuals(point)
     step = factor.step(residual)
-    if not _squared_step_length(system, step) < SQUARED_STEP_TOLERANCE:
+    if not _squared_step_length(block_system, step) < SQUARED_STEP_TOLERANCE:
         return None
-    return problem.retract(x, step), _system_after(system, residual, step)
+    return problem.retract(point, step), _system_after(block_system, residual, step)
 
 
-def _system_after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
+def _system_after(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """System after a step, with the same design and the residual of the new point."""
-    return BlockSystem(system.design, residual - system.design @ step, system.n_reduced)
+    return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
 
-def _damped_factor(system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
+def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
     """Factor with at least `damping`, more if the normal matrix is singular, and the damping used."""
     while True:
         try:
-            return BlockFactor(system, damping), damping
+            return BlockFactor(block_system, damping), damping
         except SingularSystemError:
             if damping >= 1e-2:
                 return None, damping
             damping = max(100 * damping, 1e-10)
 
 
-def _finish(x: Point, system: BlockSystem, iteration: int, status: TerminationStatus, *, held: bool) -> Solution[Point]:
+def _finish(
+    point: Point,
+    block_system: BlockSystem,
+    n_iterations: int,
+    termination_status: TerminationStatus,
+    *,
+    had_regular_normals: bool,
+) -> Solution[Point]:
     try:
-        factor = BlockFactor(system)
+        factor = BlockFactor(block_system)
     except SingularSystemError:
         return Solution(
-            x,
-            system.sum_of_squares,
-            iteration,
-            TerminationStatus.CONTRADICTORY if held else TerminationStatus.SINGULAR,
+            point,
+            block_system.sum_of_squares,
+            n_iterations,
+            TerminationStatus.CONTRADICTORY if had_regular_normals else TerminationStatus.SINGULAR,
             None,
-            system,
+            block_system,
         )
-    return Solution(x, system.sum_of_squares, iteration, status, factor, system)
+    return Solution(point, block_system.sum_of_squares, n_iterations, termination_status, factor, block_system)

@@ -51,14 +51,14 @@ class BasisProjection:
         """Residual part of vectors (m, q)."""
         return rows - self.basis @ (self.basis.T @ rows)
 
-    def gram_matrices(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+    def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, which are `columns` (r, q) on some rows and zero on all others.
 
         Group i are the columns edges[i] to edges[i + 1].
         """
         whole_grams, inside = (
-            _group_gram_matrices(columns, edges),
-            _group_gram_matrices(self.basis[rows].T @ columns, edges),
+            _group_gram_matrices(columns, group_boundaries),
+            _group_gram_matrices(self.basis[rows].T @ columns, group_boundaries),
         )
         return [whole - lost for whole, lost in zip(whole_grams, inside, strict=True)]
 
@@ -105,16 +105,16 @@ class FactorProjection:
         """Residual part of vectors (m, q); projected again if the rounding of the factor is visible."""
         return self._residual_part(rows, slice(None))
 
-    def gram_matrices(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+    def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`.
 
         On few rows they follow from the block of the projector on these rows.
         """
         block = self._local_block(rows)
         if block is None:
-            return _group_gram_matrices(self._residual_part(columns, rows), edges)
+            return _group_gram_matrices(self._residual_part(columns, rows), group_boundaries)
         projected = block @ columns
-        limits = pairwise(edges.tolist())
+        limits = pairwise(group_boundaries.tolist())
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
     def _local_block(self, rows: Ints | slice) -> Floats | None:
@@ -178,22 +178,22 @@ class FactorProjection:
 Projection: TypeAlias = BasisProjection | FactorProjection
 
 
-def make_projection(system: BlockSystem, factor: BlockFactor | None) -> Projection:
+def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Projection:
     """Projector onto the residual space of a system: by a basis for a small system or without a factor."""
-    rows, columns = system.design.shape
+    rows, columns = block_system.design.shape
     if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
-        return BasisProjection.from_design(system.design)
-    return FactorProjection.from_design(system.design, factor)
+        return BasisProjection.from_design(block_system.design)
+    return FactorProjection.from_design(block_system.design, factor)
 
 
-def _group_gram_matrices(columns: Floats, edges: Ints) -> list[Floats]:
+def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:
     """Gram matrices (k, k) of groups of columns."""
-    parts = (columns[:, low:high] for low, high in pairwise(edges.tolist()))
+    parts = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
     return [part.T @ part for part in parts]
 
 
-def _spectrum_of_thin_root(root: Floats) -> tuple[Floats, Floats]:
+def _spectrum_of_thin_root(matrix_root: Floats) -> tuple[Floats, Floats]:
     """Non-zero eigenvalues of root root', and their vectors, for a root (f, k) with fewer columns than rows."""
-    values, vectors = np.linalg.eigh(root.T @ root)
+    values, vectors = np.linalg.eigh(matrix_root.T @ matrix_root)
     nonzero = values > MAX_ZERO_EIGENVALUE
-    return values[nonzero], root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))
+    return values[nonzero], matrix_root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

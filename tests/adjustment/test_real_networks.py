@@ -82,7 +82,7 @@ def test_gama_stopped_short_where_the_coordinates_differ(experiment):
     assert ours.chi2 < theirs.square_sum - 0.05
     assert experiment.best_turns(ours, name) > ours.chi2 + 10
     assert np.sum(np.abs(experiment.sigma_ratio(ours, name) - 1) > 0.02) == 1
-    between_marks = adjust(experiment.to_marks(ours), start=ours.state)
+    between_marks = adjust(experiment.to_marks(ours), start_state=ours.state)
     assert np.abs(experiment.sigma_ratio(between_marks, name) - 1).max() < 0.001
 
 

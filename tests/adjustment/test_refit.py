@@ -23,7 +23,7 @@ def refitted(
 ) -> tuple[Adjustment, dict[str, ParameterEstimate]]:
     recording = with_effect(effect, values, noise=noise)
     start = adjust(recording, misalignment_construction()).state
-    found = refit_with_effects(partial(adjusted, recording, misalignment_construction()), [guess], start=start)
+    found = refit_with_effects(partial(adjusted, recording, misalignment_construction()), [guess], start_state=start)
     return found.adjustment, {one.parameter.name: one for one in found.estimates[0]}
 
 
@@ -51,7 +51,7 @@ def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> Non
         true = RangeCyclic(wavelength=length)
         start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment_construction())
         guess = [true.with_constants(wavelength=length * (1 + off))]
-        found = refit_with_effects(start.with_effects, guess, start=start.state)
+        found = refit_with_effects(start.with_effects, guess, start_state=start.state)
         assert found.adjustment.chi2 < 0.1
         *_, wavelength = found.estimates[0]
         assert wavelength.value == pytest.approx(length, rel=1e-5)
@@ -63,7 +63,7 @@ def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
     true = StationSettling(("S3",), time_constant=480.0)
     recording = with_effect(true, [30e-6, -20e-6, 40e-6], noise=2.0)
     start = adjust(recording, misalignment_construction(), effects=[true], variance_components="observable")
-    found = refit_with_effects(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
+    found = refit_with_effects(start.with_effects, [true], start_state=start.state, fixed_constants=[{"time_constant"}])
     assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
     assert [one.parameter for one in found.estimates[0]] == list(true.parameters)
     assert [one.value for one in found.estimates[0]] == pytest.approx(start.state.extra_parameters, rel=1e-6)

@@ -86,7 +86,7 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(clean.problem.used_readings.sum()))
+    needed = noncentrality(alpha=FAMILY_LEVEL, hypotheses=int(clean.problem.used_readings.sum()))
     bias = np.sqrt(needed / clean.redundancy)
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
     limit = critical_w(int(clean.problem.used_readings.sum()))
@@ -95,7 +95,7 @@ def test_an_error_of_the_detectable_size_is_found_with_its_power():
         j = k % 3
         expected = clean.normalised_residuals[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
         if k < 6:
-            again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start=clean.state)
+            again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start_state=clean.state)
             assert again.normalised_residuals[i, j] == pytest.approx(expected, abs=0.05)
         found += expected > limit
     assert found / len(rows) == pytest.approx(0.8, abs=0.13)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -53,6 +53,32 @@ PREPOSITIONS = {
     *("during", "in", "of", "on", "onto", "over", "through", "towards", "under", "upon", "within"),
 }
 """Prepositions: a name that begins with one lacks the noun. `by`, `from`, `to`, `with` and `without` are customary."""
+NOT_PARAMETERS = {
+    *("above", "after", "ahead", "also", "among", "apart", "around", "at", "before", "below", "beneath", "between"),
+    *("beyond", "by", "during", "each", "else", "every", "here", "in", "inside", "into", "now", "of", "off", "on"),
+    *("once", "otherwise", "over", "past", "per", "rest", "same", "some", "there", "to", "under", "up", "upon", "what"),
+    *("where", "which", "who", "whole", "whom", "whose", "with", "within", "without"),
+    *("chosen", "compared", "confined", "curved", "done", "drop", "earlier", "explained", "few", "fixed", "flat"),
+    *("free", "further", "given", "good", "high", "joined", "joint", "largest", "last", "least", "likeliest", "low"),
+    *("made", "more", "most", "near", "new", "next", "nominal", "old", "omitted", "ordinary", "other", "others"),
+    *(
+        "packed",
+        "part",
+        "parts",
+        "plausible",
+        "previous",
+        "printed",
+        "published",
+        "quiet",
+        "quieter",
+        "raw",
+        "refitted",
+    ),
+    *("rejected", "repeated", "required", "restored", "scaled", "settled", "shared", "shipped", "shown", "single"),
+    *("sought", "strict", "taken", "thing", "things", "tried", "true", "usual", "valid", "visible", "wanted"),
+    *("withheld", "work"),
+}
+"""Words that are no parameter of a function: adverbs, prepositions, pronouns, adjectives, participles, vague nouns."""
 KEYS = {"known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes"}
 """Keys of setup.toml that the format of a recording fixes."""
 
@@ -106,6 +132,19 @@ def constants(tree: ast.Module) -> Iterator[tuple[int, str, str]]:
                     yield node.lineno, name, ast.unparse(value)
 
 
+def vague_parameters(tree: ast.AST, options: Collection[str] = ()) -> Iterator[tuple[int, str]]:
+    """Line, function and name of each parameter in `NOT_PARAMETERS`, except of the functions `options`, whose
+    parameters are options of the command line.
+    """
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and node.name not in options and not node.name.startswith("__"):
+            arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            arguments += [a for a in (node.args.vararg, node.args.kwarg) if a is not None]
+            for argument in arguments:
+                if argument.arg.strip("_") in NOT_PARAMETERS:
+                    yield argument.lineno, f"{node.name}({argument.arg})"
+
+
 def is_without_noun(name: str) -> bool:
     """True for one word that is a participle or an adjective, and for a name that begins with a preposition."""
     words = [word.lower() for word in name.split("_") if word]
@@ -130,6 +169,24 @@ def nameless(part: str) -> list[str]:
         names += [(line, name) for line, name in limits if lacks_decision(name)]
         bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in sorted(set(names))]
     return bad
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_parameter_is_named_by_what_it_is(part: str) -> None:
+    folder, bad = PACKAGE / part, []
+    for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        found = () if part == "cli" else vague_parameters(tree, ltsim.__all__)  # of a command they are options
+        bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in found]
+    assert not bad, "\n".join(["name the parameter with a noun:", *bad])
+
+
+def test_a_parameter_without_noun_is_an_offence() -> None:
+    tree = ast.parse(
+        "def f(before, n_rows, *rest, drop=1, **more): pass\ndef plan(after): pass\ndef __eq__(a, other): 1"
+    )
+    names = [name for _, name in vague_parameters(tree, ["plan"])]
+    assert names == ["f(before)", "f(drop)", "f(rest)", "f(more)"]
 
 
 @pytest.mark.parametrize("part", PARTS)

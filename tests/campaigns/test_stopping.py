@@ -93,7 +93,7 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
             for shard in range(shards)
         ]
         values = np.concatenate(parts)
-        level = interval_error_rate(looks * SHARD, SHARD, stops=True)
+        level = interval_error_rate(looks * SHARD, SHARD, is_stopping=True)
         found[cell, METHOD] = student_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
     return found
 
@@ -119,7 +119,7 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
     runs, trials, within = 2000, 1024, 0.22
     draw = stream(3, "coverage", shard, int(skewed))
     values = draw.gamma(4.0, 0.5, (runs, trials)) - 2.0 if skewed else draw.standard_normal((runs, trials))
-    level, open_ = interval_error_rate(trials, shard, stops=True), np.ones(runs, dtype=bool)
+    level, open_ = interval_error_rate(trials, shard, is_stopping=True), np.ones(runs, dtype=bool)
     held = np.zeros(runs, dtype=bool)
     for shards in evaluation_schedule(trials, shard):
         count = min(shards * shard, trials)

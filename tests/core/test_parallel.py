@@ -32,7 +32,7 @@ def test_results_come_in_order_and_as_they_come() -> None:
     calls = [(k, 2) for k in range(20)]
     assert list(run_parallel(pow, calls, 1)) == [k * k for k in range(20)]
     assert list(run_parallel(pow, calls, 2)) == [k * k for k in range(20)]
-    assert sorted(run_parallel(pow, calls, 2, ordered=False)) == [k * k for k in range(20)]
+    assert sorted(run_parallel(pow, calls, 2, keeps_order=False)) == [k * k for k in range(20)]
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path, root: Path) -> None:

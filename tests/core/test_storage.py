@@ -34,7 +34,7 @@ def killing(call):
 for call in real:
     setattr(storage.os, call, killing(call))
 contents = {"a.csv": b"new a", "sub/b.csv": b"new b", "c.json": b"new c"}
-storage.write_files(Path(sys.argv[1]), contents, durable=True)
+storage.write_files(Path(sys.argv[1]), contents, flush_to_disk=True)
 real["open"](sys.argv[1] + "-done", os.O_CREAT)
 """
 """A process that ends itself at one of the calls with which it writes."""

@@ -32,7 +32,7 @@ def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording,
 
 def strengthened(recording, state, change):
     """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
-    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=state))
     left = space.project(space.whiten(change[:, :, None]))[:, 0]
     factor = np.sqrt(NONCENTRALITY / float(left @ left))
     return recording.with_readings(recording.readings + factor * change), factor

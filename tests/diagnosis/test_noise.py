@@ -25,7 +25,7 @@ from tests.networks import network
 def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
-    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
@@ -206,13 +206,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
-    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     assert repeat_means(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
-    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target

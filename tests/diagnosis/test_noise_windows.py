@@ -120,7 +120,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
 
 
 def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
-    level = RecordingNoiseLevel.from_space(space, quieter=True)
+    level = RecordingNoiseLevel.from_space(space, allows_quieter=True)
     doubled = level.expected_factors(2.0 * space.residuals, space.redundancy)
     assert doubled[: int(space.used_readings.sum())] == pytest.approx(4.0, rel=0.25)
     assert (doubled[int(space.used_readings.sum()) :] == 1.0).all()

@@ -112,13 +112,13 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     """P-values of networks that did not move are uniform; a point that did is named, and no other."""
     turned = len(axes) > 1
     pairs = [(network(axes, 2 * i), network(axes, 2 * i + 1, turned=turned)) for i in range(40)]
-    found = [compare_coordinates(*pair, free=True) for pair in pairs]
+    found = [compare_coordinates(*pair, has_free_motions=True) for pair in pairs]
     assert found[0].dof == {"xyz": 24, "xy": 17, "z": 9}[axes]
     assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
     assert sum(bool(c.moved_points) for c in found) <= 6
     shift = np.zeros((10, 3))
     shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
-    moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
+    moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), has_free_motions=True)
     assert moved.moved_points == ("P4",)
     assert moved.displacements[0].point_chi2 is None
 
@@ -129,7 +129,7 @@ def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
     shift = np.zeros((10, 3))
     shift[4, "xyz".index(axes[0])] = 0.01
     pair = network(axes, 0), network(axes, 1, shift, turned=len(axes) > 1)
-    plain, free = compare_coordinates(*pair), compare_coordinates(*pair, free=True)
+    plain, free = compare_coordinates(*pair), compare_coordinates(*pair, has_free_motions=True)
     assert plain.dof == free.dof
     assert plain.moved_points == free.moved_points == ("P4",)
     np.testing.assert_allclose(plain.displacements[4].sigma_um, free.displacements[4].sigma_um, rtol=1e-6)
@@ -146,7 +146,7 @@ def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
     hold[:9, :9] = np.eye(9)
     project = np.eye(30) - motions @ np.linalg.solve(motions.T @ hold @ motions, motions.T @ hold)
     epochs = [replace(network("xyz", i), covariance=project @ network("xyz", i).covariance @ project.T) for i in (0, 1)]
-    plain, free = compare_coordinates(*epochs), compare_coordinates(*epochs, free=True)
+    plain, free = compare_coordinates(*epochs), compare_coordinates(*epochs, has_free_motions=True)
     assert plain.p_value == pytest.approx(free.p_value, rel=1e-6)
 
 
@@ -156,10 +156,10 @@ def test_exchanged_names_are_named_and_no_motion_is(tmp_path: Path, cycle: tuple
     names = list(second.names)
     for place, other in zip(cycle, cycle[1:] + cycle[:1], strict=True):
         names[place] = second.names[other]
-    mixed = compare_coordinates(first, replace(second, names=tuple(names)), free=True)
+    mixed = compare_coordinates(first, replace(second, names=tuple(names)), has_free_motions=True)
     assert not mixed.moved_points
     assert f"the names {', '.join(f'P{i}' for i in cycle)} are exchanged" in mixed.notes[0]
-    assert mixed.p_value == pytest.approx(compare_coordinates(first, second, free=True).p_value, rel=1e-6)
+    assert mixed.p_value == pytest.approx(compare_coordinates(first, second, has_free_motions=True).p_value, rel=1e-6)
 
 
 def test_numbers_of_rows_are_no_names(tmp_path: Path) -> None:
@@ -239,4 +239,4 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     two = network("xy", 1)
     few = EpochCoordinates("", two.names[:2], "xy", two.points[:2], two.covariance[:4, :4])
     with pytest.raises(LtsimError, match="share 2 points; at least 3"):
-        compare_coordinates(few, few, free=True)
+        compare_coordinates(few, few, has_free_motions=True)

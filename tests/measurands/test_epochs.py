@@ -34,7 +34,7 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust(clean, misalignment_construction(), start=truth.state)
+    found = adjust(clean, misalignment_construction(), start_state=truth.state)
     points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
     moved = type(truth.state)(
@@ -70,7 +70,7 @@ def test_the_frame_may_be_held_by_stable_points_or_by_the_moved_one_too() -> Non
     """The frame of each epoch is the first station's; no point is special."""
     second = epoch(2, ("T06", (0.0, 0.0, 300e-6)))
     free = compare_adjustments(epoch(1), second, same_instrument=True)
-    held = compare_adjustments(epoch(1), second, same_instrument=True, stable=("T01", "T08", "T12", "T20"))
+    held = compare_adjustments(epoch(1), second, same_instrument=True, stable_names=("T01", "T08", "T12", "T20"))
     assert free.moved_points == held.moved_points == ("T06",)
     assert not any(d.moved for d in held.displacements if d.target in ("T01", "T08"))
 
@@ -97,7 +97,7 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
         }
     )
     grown = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": gauge}))
-    found = compare_adjustments(epoch(1), adjust(grown, misalignment_construction()), scaled=True)
+    found = compare_adjustments(epoch(1), adjust(grown, misalignment_construction()), with_scale=True)
     assert found.scale_ppm == pytest.approx(20, abs=6)
     assert not found.moved_points
 
@@ -105,9 +105,9 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
 def test_too_little_in_common_is_said() -> None:
     first = epoch(1)
     with pytest.raises(LtsimError, match="common point"):
-        compare_adjustments(first, epoch(2), stable=("T01", "T02", "T99"))
+        compare_adjustments(first, epoch(2), stable_names=("T01", "T02", "T99"))
     with pytest.raises(LtsimError, match="at least 3"):
-        compare_adjustments(first, epoch(2), stable=("T01", "T02"))
+        compare_adjustments(first, epoch(2), stable_names=("T01", "T02"))
 
 
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,7 +125,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust(again, misalignment_construction(), start=inputs.origin.state).state.target_points
+            points = adjust(again, misalignment_construction(), start_state=inputs.origin.state).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.

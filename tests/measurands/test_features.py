@@ -84,7 +84,7 @@ def distances(kind: str, points: Floats, centre: Floats, normal: Floats, radius:
 def test_many_sets_at_once_are_the_single_fits(kind: str) -> None:
     points, _ = surface(kind, 9)
     many = points + 1e-5 * stream(7, kind).standard_normal((5, *points.shape))
-    together = fit_feature(kind, many, start=fit_feature(kind, points))
+    together = fit_feature(kind, many, start_feature=fit_feature(kind, points))
     for i in range(5):
         alone = fit_feature(kind, many[i])
         assert np.allclose(np.abs(together.deviations[i]), np.abs(alone.deviations), atol=1e-11)

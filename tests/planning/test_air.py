@@ -36,7 +36,9 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     for cause, station in np.ndindex(2, 3):
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)
         read = recording.with_readings(recording.readings + change)
-        shift = (adjust(read, built, start=made.nominal_state(built)).state.target_points - made.target_points).ravel()
+        shift = (
+            adjust(read, built, start_state=made.nominal_state(built)).state.target_points - made.target_points
+        ).ravel()
         motion = rigid_motion_design(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))
     expected = np.einsum("cti,ctj->tij", np.array(moved), np.array(moved))

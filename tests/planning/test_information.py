@@ -76,7 +76,7 @@ def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
     reducer = LayoutScorer(made)
     position, yaw = scattered(6, 2)
     visible = np.random.default_rng(5).uniform(size=(6, 5, 28)) < 0.8
-    blocks = reducer.normal_blocks(position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(-1, 28))
+    blocks = reducer.normal_blocks(position.reshape(-1, 3), yaw.ravel(), is_visible=visible.reshape(-1, 28))
     out = reducer.evaluate_layouts(blocks, np.arange(30).reshape(6, 5), with_target_errors=True)
     for i in range(6):
         slow = LayoutInformation.from_survey(
@@ -168,7 +168,7 @@ def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
         LayoutInformation.from_survey(made.replace(is_visible=visible))
     reducer = LayoutScorer(made)
     out = reducer.evaluate_layouts(
-        reducer.normal_blocks(made.station_positions, made.station_yaws, visible=visible),
+        reducer.normal_blocks(made.station_positions, made.station_yaws, is_visible=visible),
         np.arange(5)[None],
         with_target_errors=True,
     )
@@ -183,7 +183,7 @@ def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
     visible = np.concatenate([whole, *lost, whole])
     places = (np.tile(a, (len(lost) + 2, *[1] * (a.ndim - 1))) for a in (made.station_positions, made.station_yaws))
     out = reducer.evaluate_layouts(
-        reducer.normal_blocks(*places, visible=visible), np.arange(5 * (len(lost) + 2)).reshape(-1, 5)
+        reducer.normal_blocks(*places, is_visible=visible), np.arange(5 * (len(lost) + 2)).reshape(-1, 5)
     )
     alone = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws), np.arange(5)[None]

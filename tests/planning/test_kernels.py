@@ -27,7 +27,7 @@ made, found = survey(), {}
 reducer = LayoutScorer(made)
 for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
     out = reducer.evaluate_layouts(
-        reducer.normal_blocks(made.station_positions, made.station_yaws, visible=visible), np.arange(5)[None],
+        reducer.normal_blocks(made.station_positions, made.station_yaws, is_visible=visible), np.arange(5)[None],
         with_target_errors=True,
     )
     try:

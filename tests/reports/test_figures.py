@@ -84,7 +84,7 @@ def setting_rows_figure() -> Figure:
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.setting_rows_figure(rows, label="improvement [%]", published=40.1)
+    return sweeps.setting_rows_figure(rows, label="improvement [%]", published_value=40.1)
 
 
 def factor_panels_figure() -> Figure:
@@ -94,7 +94,7 @@ def factor_panels_figure() -> Figure:
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise factor", published=3.0)
+    return sweeps.factor_panels_figure(rows, label="error [µm]", axis="noise factor", published_value=3.0)
 
 
 def sigma_figure() -> Figure:

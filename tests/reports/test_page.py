@@ -285,6 +285,16 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
     assert any(load.startswith("data:image/svg") for load in reader.loads)
 
 
+def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    told = json.loads((target / "diagnosis.json").read_text())
+    where = {"observables": [], "stations": [], "targets": ["T05"], "covariates": []}
+    told["findings"] = [told["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    *_, use = document_of_folder(target).next_actions
+    assert use.endswith("; those of T05 are from before the motion.")
+
+
 def test_next_measurement_stands_first(tmp_path: Path) -> None:
     content = document_of_folder(samples.next_folder(tmp_path / "next"))
     proposals = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"]

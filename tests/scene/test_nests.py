@@ -38,8 +38,8 @@ def test_a_thin_pole_carries_no_nest_and_a_wide_one_does() -> None:
 def test_walls_hold_nests_inside_the_room_and_not_in_what_stands_there() -> None:
     size = np.array([12.0, 8.0, 5.0])
     cupboard = join_obstacles([box_triangles(np.array([3.0, 3.0, 3.0]))])
-    places = candidate_nest_places(wall_triangles(size), 0.04, 0.5, cupboard, closed=False)
+    places = candidate_nest_places(wall_triangles(size), 0.04, 0.5, cupboard, is_closed=False)
     assert np.all((places > 0) & (places < size))
     assert np.minimum(places, size - places)[:, :2].min(axis=1) == pytest.approx(0.04)
     assert not cupboard.is_inside_body(places).any()
-    assert len(candidate_nest_places(wall_triangles(size), 0.04, 0.5, closed=False)) > len(places)
+    assert len(candidate_nest_places(wall_triangles(size), 0.04, 0.5, is_closed=False)) > len(places)

@@ -93,14 +93,16 @@ def test_limits_follow_a_leaning_instrument() -> None:
 
 def test_acceptance_of_fixed_nests_only() -> None:
     normal = np.array([[-np.cos(31 * DEGREE), 0.0, np.sin(31 * DEGREE)]])
-    fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([False]))
-    turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([True]))
+    fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([False]))
+    turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([True]))
     assert fixed.incidence_angles[0, 0] == pytest.approx(31 * DEGREE)
     assert fixed.reasons[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
 
 
 def test_unknown_nests_accept_every_beam() -> None:
-    table = compute_visibility(HEAD, at(0.0), LIMITS, nest_normal=np.full((1, 3), np.nan), reaimed=np.array([False]))
+    table = compute_visibility(
+        HEAD, at(0.0), LIMITS, nest_normals=np.full((1, 3), np.nan), is_reaimed=np.array([False])
+    )
     assert table.is_visible.all()
 
 

@@ -53,5 +53,5 @@ def test_a_start_changes_nothing() -> None:
     draw = stream(9, "start")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
     found = solve_least_absolute(design, goal)
-    assert solve_least_absolute(design, goal, start=found + 0.3) == pytest.approx(found, abs=1e-12)
+    assert solve_least_absolute(design, goal, start_solution=found + 0.3) == pytest.approx(found, abs=1e-12)
     assert np.array_equal(solve_least_absolute(design, np.zeros(150)), np.zeros(4))

@@ -104,10 +104,10 @@ class BenchFile(ResultFile):
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))
         size = with_sigma(worst.error_um, worst.sigma_um, "um")
-        off = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
+        phrase = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
         lines = [
             f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
-            f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
+            f"sphere off the table's axis: {phrase}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
             f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
@@ -201,22 +201,22 @@ def evaluate_bench(record: BenchReadings) -> BenchEstimates:
 
     The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
     """
-    turned = record.probe_angles - record.probe_direction
-    design = np.stack([np.ones_like(turned), np.cos(turned), -np.sin(turned)], axis=1)
+    angles = record.probe_angles - record.probe_direction
+    design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
     estimate = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
     residual = record.displacements - design @ estimate
-    variance = float(residual @ residual) / max(len(turned) - 3, 1)
+    variance = float(residual @ residual) / max(len(angles) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
-    middle = int(np.argmin(np.abs(record.angles)))
-    uncorrected = record.lengths - record.lengths[middle]
-    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle]
-    length_variance = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
+    middle_index = int(np.argmin(np.abs(record.angles)))
+    range_changes = record.lengths - record.lengths[middle_index]
+    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle_index]
+    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * record.length_sigma**2)
     return BenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
         run_out=float(np.ptp(record.displacements)),
-        uncorrected_lengths=uncorrected,
-        range_errors=uncorrected - change @ estimate[1:],
+        uncorrected_lengths=range_changes,
+        range_errors=range_changes - change @ estimate[1:],
         range_error_sigmas=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
     )
 
@@ -226,8 +226,8 @@ def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> Ver
     design = np.concatenate([np.ones((len(angles), 1)), eccentricity_design(angles)], axis=1)
     estimate = np.linalg.lstsq(design, range_errors, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    remainder = float(np.sqrt(np.mean((range_errors - design @ estimate) ** 2)))
-    return VertexOffset(float(estimate[1]), float(estimate[2]), float(spread[1]), float(spread[2]), remainder)
+    rms_residual = float(np.sqrt(np.mean((range_errors - design @ estimate) ** 2)))
+    return VertexOffset(float(estimate[1]), float(estimate[2]), float(spread[1]), float(spread[2]), rms_residual)
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
@@ -257,11 +257,11 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
-    how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
-    record = read_bench(Path(source), **how)
+    options = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
+    record = read_bench(Path(source), **options)
     result = evaluate_bench(record)
     vertex = fit_vertex_offset(record.angles, result.range_errors, float(result.range_error_sigmas.max()))
-    off = np.sqrt(np.diag(result.eccentricity_covariance))
+    sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
@@ -273,8 +273,8 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         strict=True,
     )
     return BenchFile(
-        eccentricity_forward=entry(result.eccentricity[0], off[0]),
-        eccentricity_side=entry(result.eccentricity[1], off[1]),
+        eccentricity_forward=entry(result.eccentricity[0], sigmas[0]),
+        eccentricity_side=entry(result.eccentricity[1], sigmas[1]),
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)

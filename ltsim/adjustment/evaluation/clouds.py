@@ -25,25 +25,25 @@ def measured_points(
 
     They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
     """
-    whole = recording.is_measured.all(axis=1)
+    is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
-    raw = recording.readings[whole]
+    raw_readings = recording.readings[is_complete]
     if construction is None or values is None:
-        points[whole] = from_polar(raw)
+        points[is_complete] = from_polar(raw_readings)
     else:
-        points[whole] = construction.point(raw, values if values.ndim == 1 else values[whole])
+        points[is_complete] = construction.point(raw_readings, values if values.ndim == 1 else values[is_complete])
     return points
 
 
 def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools | None = None) -> Floats:
     """Mean (S, T, 3), over faces and repeats, of the points (n, 3) of each station and target; NaN for none."""
     size = (len(recording.stations), len(recording.targets))
-    whole = np.isfinite(points).all(axis=1)
+    is_complete = np.isfinite(points).all(axis=1)
     if row_mask is not None:
-        whole &= row_mask
-    at = (recording.station[whole], recording.target[whole])
+        is_complete &= row_mask
+    at = (recording.station[is_complete], recording.target[is_complete])
     total, count = np.zeros((*size, 3)), np.zeros(size)
-    np.add.at(total, at, points[whole])
+    np.add.at(total, at, points[is_complete])
     np.add.at(count, at, 1.0)
     return np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
 
@@ -53,8 +53,8 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
 
     Raises NetworkError for fewer than three common targets that are not collinear.
     """
-    shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
-    rotation, translation = align_rigidly(cloud[shared], target_points[shared])
+    is_shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
+    rotation, translation = align_rigidly(cloud[is_shared], target_points[is_shared])
     return cloud @ rotation.T + translation
 
 
@@ -64,29 +64,29 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
     A station with fewer than three targets in common with the first is aligned to the mean of those aligned before; in
     the paper all stations see all targets. Raises NetworkError with the name of a station that cannot be aligned.
     """
-    placed = np.full_like(clouds, np.nan)
-    placed[0] = clouds[0]
-    measured = np.isfinite(clouds[:, :, 0])
-    total, count = np.where(measured[0][:, None], clouds[0], 0.0), measured[0].astype(np.int64)
-    direct, shared = measured @ measured[0].astype(np.int64), measured @ measured[0].astype(np.int64)
-    waiting = np.arange(len(clouds)) > 0
-    while waiting.any():
-        station = int(np.argmax(np.where(waiting, direct, -1)))
+    placed_points = np.full_like(clouds, np.nan)
+    placed_points[0] = clouds[0]
+    is_measured = np.isfinite(clouds[:, :, 0])
+    total, count = np.where(is_measured[0][:, None], clouds[0], 0.0), is_measured[0].astype(np.int64)
+    direct, shared = is_measured @ is_measured[0].astype(np.int64), is_measured @ is_measured[0].astype(np.int64)
+    is_unaligned = np.arange(len(clouds)) > 0
+    while is_unaligned.any():
+        station = int(np.argmax(np.where(is_unaligned, direct, -1)))
         goal = clouds[0]
         if direct[station] < 3:
-            station = int(np.argmax(np.where(waiting, shared, -1)))
+            station = int(np.argmax(np.where(is_unaligned, shared, -1)))
             goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
-        waiting[station] = False
+        is_unaligned[station] = False
         try:
-            placed[station] = align_to_points(clouds[station], goal)
+            placed_points[station] = align_to_points(clouds[station], goal)
         except NetworkError as problem:
             message = f"station {names[station]} cannot be joined to the others: {problem}"
             raise NetworkError(message) from None
-        new = measured[station] & (count == 0)
-        shared += measured[:, new].sum(axis=1)
-        total[measured[station]] += placed[station, measured[station]]
-        count += measured[station]
-    return placed
+        new = is_measured[station] & (count == 0)
+        shared += is_measured[:, new].sum(axis=1)
+        total[is_measured[station]] += placed_points[station, is_measured[station]]
+        count += is_measured[station]
+    return placed_points
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,12 @@ class CalibrationErrors:
         return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
-def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
+def share(raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameters: Floats | float) -> float:
     """Fraction of the correctable mean square that was removed, from the errors (N,) of N trials.
 
     It is NaN if nothing is correctable.
     """
-    squares = (float(np.nanmean(np.square(error))) for error in (raw, calibrated, true_parameters))
+    squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameters))
     before, after, perfect = squares
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 

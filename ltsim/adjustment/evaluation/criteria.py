@@ -95,14 +95,14 @@ class CriterionEntry(Entry):
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
     @classmethod
-    def from_differences(cls, before: StationDisagreement, after: StationDisagreement | None = None) -> Self:
+    def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
         """Criterion from the disagreement before and (if available) after a calibration."""
-        if after is None:
-            return cls(before=DisagreementEntry.from_differences(before))
-        percent = None if before.mean == 0 else 100.0 * (1.0 - after.mean / before.mean)
+        if calibrated is None:
+            return cls(before=DisagreementEntry.from_differences(uncalibrated))
+        percent = None if uncalibrated.mean == 0 else 100.0 * (1.0 - calibrated.mean / uncalibrated.mean)
         return cls(
-            before=DisagreementEntry.from_differences(before),
-            after=DisagreementEntry.from_differences(after),
+            before=DisagreementEntry.from_differences(uncalibrated),
+            after=DisagreementEntry.from_differences(calibrated),
             improvement_percent=percent,
         )
 
@@ -129,9 +129,9 @@ class CriteriaEntry(Entry):
 
     def criteria_table(self) -> Table:
         """Table of the criteria."""
-        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        by_name = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
         rows = []
-        for name, criterion in {**named, "coordinate": self.coordinate}.items():
+        for name, criterion in {**by_name, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
@@ -165,10 +165,10 @@ def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[t
     `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `min_observers`
     observers are omitted, so that memory depends on observed pairs only.
     """
-    measured = np.isfinite(clouds[:, :, 0])
+    is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
-        observers = np.flatnonzero(measured[:, point])
-        others = point + 1 + np.flatnonzero(measured[observers, point + 1 :].sum(axis=0) >= min_observers)
+        observers = np.flatnonzero(is_measured[:, point])
+        others = point + 1 + np.flatnonzero(is_measured[observers, point + 1 :].sum(axis=0) >= min_observers)
         yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
@@ -199,8 +199,8 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
     for targets, gap in iterate_pair_distances(np.swapaxes(aligned_clouds, 0, 1)):
         total[targets] += np.nansum(gap, axis=1)
         count[targets] += np.isfinite(gap).sum(axis=1)
-    shared = count >= 1
-    return StationDisagreement(total[shared] / count[shared])
+    is_shared = count >= 1
+    return StationDisagreement(total[is_shared] / count[is_shared])
 
 
 def evaluate_criteria(
@@ -225,10 +225,10 @@ def evaluate_criteria(
         raise NetworkError(
             f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
-    before = station_point_clouds(recording, measured_points(recording), row_mask)
-    after = None
+    raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
+    corrected_clouds = None
     if construction is not None and values is not None:
-        after = station_point_clouds(
+        corrected_clouds = station_point_clouds(
             recording, measured_points(_subtract_change(recording, reading_changes), construction, values), row_mask
         )
     if len(recording.stations) < 2:
@@ -238,15 +238,17 @@ def evaluate_criteria(
         def disagreement_of(clouds: Floats) -> StationDisagreement:
             return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
-        raw = disagreement_of(before)
+        raw = disagreement_of(raw_clouds)
         if not len(raw.values):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
-        return CriterionEntry.from_differences(raw, None if after is None else disagreement_of(after))
+        return CriterionEntry.from_differences(
+            raw, None if corrected_clouds is None else disagreement_of(corrected_clouds)
+        )
 
     return CriteriaEntry(
         distance=compare(distance_differences, aligned=False),
         coordinate=compare(coordinate_differences, aligned=True),
-        **_distance_to_first_criterion(before, after),
+        **_distance_to_first_criterion(raw_clouds, corrected_clouds),
     )
 
 
@@ -255,15 +257,15 @@ def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Re
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
-def _distance_to_first_criterion(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
+def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
     """Criterion of eq. 11 by the name of its field.
 
     It is empty if no other station shares a pair of targets with the first.
     """
-    differences = distance_differences_to_first(before)
+    differences = distance_differences_to_first(uncalibrated)
     if not len(differences.values):
         return {}
-    corrected = None if after is None else distance_differences_to_first(after)
+    corrected = None if calibrated is None else distance_differences_to_first(calibrated)
     return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
 
 
@@ -283,20 +285,20 @@ def read_nominal(path: Path) -> dict[str, Floats]:
     return points.by_name
 
 
-def distance_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
+def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
     """Mean over stations of |distance - nominal distance| for each pair of targets (eq. 13, as meant)."""
-    return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
+    return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
 
 
-def coordinate_errors(clouds: Floats, nominal: Floats) -> StationDisagreement:
+def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
     """Mean over stations of the distance to the nominal point after a rigid fit, for each target (eq. 14)."""
-    gap = np.linalg.norm([align_to_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
     return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 
 
 def verify_against_nominal(
     recording: Recording,
-    nominal: dict[str, Floats],
+    nominal_points: dict[str, Floats],
     construction: Construction | None = None,
     values: Floats | None = None,
     *,
@@ -307,8 +309,8 @@ def verify_against_nominal(
     "After" applies parameters (p,) or (n, p) [SI] and subtracts `reading_changes` (n, 3) from the readings. Raises
     NetworkError if a station measured fewer than three nominal targets.
     """
-    missing = np.full(3, np.nan)
-    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    nan_vector = np.full(3, np.nan)
+    goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])
     has_nominal = np.isfinite(goal[:, 0])
     if int(has_nominal.sum()) < 3:
         raise NetworkError(

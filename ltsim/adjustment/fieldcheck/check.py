@@ -87,8 +87,8 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     >>> lt.check(recording).passed
     True
     """
-    whole = load_recording(recording)
-    identification = identify_causes(whole) if len(whole.stations) > 1 else None
+    full_recording = load_recording(recording)
+    identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
     selection = (
         identification
         if identification and (identification.requires_initial_causes or identification.is_consistent)
@@ -96,12 +96,15 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     )
     moving = identification.certain_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
-    corrected = whole if selection is None else selection.fit.correct_recording(whole)
-    paired = whole if selection is None else selection.fit.correct_recording(whole, outliers=True)
-    family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(whole.stations), 1))
-    every = range(len(whole.stations))
-    setups, network = tuple(_test_setup(corrected, paired, s, family, mpe) for s in every), tuple[CheckItem, ...]()
-    if len(whole.stations) > 1:
+    corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
+    paired = full_recording if selection is None else selection.fit.correct_recording(full_recording, outliers=True)
+    family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
+    all_indices = range(len(full_recording.stations))
+    setups, network = (
+        tuple(_test_setup(corrected, paired, s, family, mpe) for s in all_indices),
+        tuple[CheckItem, ...](),
+    )
+    if len(full_recording.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         moving = tuple(motion for motion in moving if motion.stations not in {m.stations for m in motions})
         plain = adjust_for_check(corrected, motions)
@@ -110,11 +113,11 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             shown, scattering = scale_target_noise(corrected, plain)
             read = apply_corrections(shown, detect_blunders(plain))
         if read is not corrected:  # a set-up is not blamed for what has a name
-            setups = tuple(_test_setup(read, read, s, family, mpe) for s in every)
+            setups = tuple(_test_setup(read, read, s, family, mpe) for s in all_indices)
         shared = HypothesisFamily(level, 2 * N_NETWORK_TESTS)
         together = network_items(shown, plain, shared, motions, moving, with_target_noise=shown is not corrected)
         network = (*scattering, *together)
-    result = Check.from_items(CheckArrays(whole, setups), network, level, causes)
+    result = Check.from_items(CheckArrays(full_recording, setups), network, level, causes)
     if not result.items:
         message = "no station measured a target twice, so no test is possible yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
@@ -143,14 +146,14 @@ def _test_setup(
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
     """Tests of a set-up; its two-face differences are those of `paired_recording`, including outliers."""
-    at = np.flatnonzero(setup_recording.station == station)
-    recording, rows, name = setup_recording.select(at), at + 1, setup_recording.stations[station]
+    indices = np.flatnonzero(setup_recording.station == station)
+    recording, rows, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
     construction = declared_construction(recording)
     visit = StationOccupation.from_recording(recording, construction)
     judged = SetupTests((), visit, (), recording)
     if visit.dof > 0:
         judged = _gross_and_motion_tests(visit, construction, family, rows)
-    two_faced, motionless = paired_recording.select(at), judged.motion_corrected.readings
+    two_faced, motionless = paired_recording.select(indices), judged.motion_corrected.readings
     motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
     items, faces = (
         list[CheckItem](),
@@ -223,12 +226,12 @@ def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) 
     variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
     if is_testable.sum() < 2 or not variance.min() > 0.0:
         return None
-    pooled = float(dof_of_target @ variance / dof_of_target.sum())
-    gain = dof_of_target.sum() * np.log(pooled) - dof_of_target @ np.log(variance)
+    mean_variance = float(dof_of_target @ variance / dof_of_target.sum())
+    gain = dof_of_target.sum() * np.log(mean_variance) - dof_of_target @ np.log(variance)
     gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
     if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
         return None
-    ratio = np.full(len(dof), np.sqrt(pooled))
+    ratio = np.full(len(dof), np.sqrt(mean_variance))
     ratio[is_testable] = np.sqrt(variance)
     return np.asarray(np.maximum(ratio, 1.0)[occupation.recording.target][:, None])
 
@@ -257,14 +260,14 @@ def _gross_pointings_and_bump(
 
 def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
     """Gap in which a motion of the station explains most, its fit, and the number of gaps."""
-    tried = [
+    candidates = [
         bump
         for bump in StationBump.candidates(occupation.sightings)
         if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS
     ]
-    if not tried:
+    if not candidates:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
-    explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in tried}
+    explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in candidates}
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
         if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
@@ -274,9 +277,9 @@ def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, Column
 
 def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:
     """Number of targets measured both before and after the bump."""
-    after = occupation.sightings.time >= bump.time
+    is_after = occupation.sightings.time >= bump.time
     target = occupation.recording.target
-    return len(np.intersect1d(target[occupation.row_mask & after], target[occupation.row_mask & ~after]))
+    return len(np.intersect1d(target[occupation.row_mask & is_after], target[occupation.row_mask & ~is_after]))
 
 
 def _neg_log_p(fit: ColumnsFit) -> float:
@@ -300,15 +303,15 @@ def _bump_item(
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
         return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
-    explained = occupation.fit_columns(bump.design(occupation.sightings))
+    fit = occupation.fit_columns(bump.design(occupation.sightings))
     order = np.argsort(recording.time, kind="stable")
-    at = int(np.searchsorted(recording.time[order], bump.time))
-    pair = order[at - 1 : at + 1]
-    between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
+    index = int(np.searchsorted(recording.time[order], bump.time))
+    pair = order[index - 1 : index + 1]
+    time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
-    chance = family.corrected_p_value(occupation.p_value(explained), len(order) - 1)
-    sentence = bump_sentence(recording, between, numbers, explained)
-    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
+    chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
+    sentence = bump_sentence(recording, time_interval, numbers, fit)
+    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=time_interval)
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:
@@ -324,11 +327,11 @@ def _drift_item(
     design: Floats,
     write_sentence: SentenceWriter,
 ) -> CheckItem:
-    explained = occupation.fit_columns(design)
-    p = family.corrected_p_value(occupation.p_value(explained))
-    passed = p >= family.false_alarm_rate
+    fit = occupation.fit_columns(design)
+    p = family.corrected_p_value(occupation.p_value(fit))
+    is_passed = p >= family.false_alarm_rate
     return CheckItem.from_test(
-        occupation.recording.stations[0], kind, passed, write_sentence(occupation.recording, explained, passed), p
+        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p
     )
 
 
@@ -345,10 +348,10 @@ def _repeatability_item(occupation: StationOccupation, family: HypothesisFamily)
     p, less = two_sided_chi2_p_value(occupation.chi2, occupation.dof)
     p = family.corrected_p_value(p)
     freedom = f"{occupation.dof} degrees of freedom"
-    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
+    phrase = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
     if p >= family.false_alarm_rate:
-        return CheckItem.from_test(name, "closure", True, f"{scatter}, as expected", p)
-    return CheckItem.from_test(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than declared", p)
+        return CheckItem.from_test(name, "closure", True, f"{phrase}, as expected", p)
+    return CheckItem.from_test(name, "closure", less, f"{phrase}, {'less' if less else 'more'} than declared", p)
 
 
 def _target_scatter_item(
@@ -356,7 +359,7 @@ def _target_scatter_item(
 ) -> CheckItem:
     """Item on the scatter of a set-up whose targets have different scatter."""
     closure, (chi2, dof) = _repeatability_item(remaining, family), remaining.target_chi2_and_dof()
-    shown = np.flatnonzero(dof >= MIN_TARGET_DOF)
-    shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]
-    sentence, targets = target_sentence(occupation, shown)
+    listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
+    listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
+    sentence, targets = target_sentence(occupation, listed_targets)
     return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

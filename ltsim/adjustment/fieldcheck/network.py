@@ -71,15 +71,19 @@ def scale_target_noise(
             adjustment_or_error.normalised_residuals[rows].T, adjustment_or_error.redundancy[rows].T, strict=True
         )
     ]
-    scatter = [robust_sigma(w) if len(w) >= MIN_DOF_FOR_ESTIMATED_NOISE else ratio for w in w_by_observable]
+    ratios = [robust_sigma(w) if len(w) >= MIN_DOF_FOR_ESTIMATED_NOISE else ratio for w in w_by_observable]
     sigma = (
-        np.where(rows[:, None], np.maximum(scatter, 1.0), 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        np.where(rows[:, None], np.maximum(ratios, 1.0), 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
     )
-    shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
+    scaled_recording = recording.replace(
+        covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))}
+    )
     names = tuple(recording.targets[t] for t in named)
     scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {rest:.2g} times"
     sentence = f"readings to {', '.join(names)} {scatter_words}"
-    return shown, (CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),)
+    return scaled_recording, (
+        CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),
+    )
 
 
 def network_items(
@@ -125,10 +129,10 @@ def network_items(
             )
         )
         is_explained[motion.rows] = True
-    moved = estimate_centring_errors(adjustment_or_error)
-    if moved is not None:
-        marks = tuple(dict.fromkeys(motion.mark for motion in moved.occupations))
-        items.append(CheckItem.from_test("", "mistake", False, moved.sentence, targets=marks))
+    centring_errors = estimate_centring_errors(adjustment_or_error)
+    if centring_errors is not None:
+        marks = tuple(dict.fromkeys(motion.mark for motion in centring_errors.occupations))
+        items.append(CheckItem.from_test("", "mistake", False, centring_errors.sentence, targets=marks))
     items += [
         CheckItem.from_test("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
         for test in fitted.rejected_references
@@ -187,8 +191,8 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
     rows = rows[np.argsort(-size[rows], kind="stable")]
     station, target = recording.station[rows[0]], recording.target[rows[0]]
     first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
-    many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{many} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
+    phrase = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
+    sentence = f"{phrase} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
     targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
     return [CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
 
@@ -196,11 +200,11 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
 def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
     """Items on the level of each levelled station relative to the vertical of the others, by their common targets."""
     items, levels = [], fitted.problem.level_rows
-    declared = {
+    sigma_by_station = {
         fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station_indices, levels.sigma, strict=True)
     }
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
-        if test.kind == "level" and (declared[test.name] / test.sigma_error.min()) ** 2 > MIN_LEVEL_REDUNDANCY:
+        if test.kind == "level" and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_LEVEL_REDUNDANCY:
             p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the others ({test.error_text})"

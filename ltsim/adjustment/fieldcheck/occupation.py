@@ -52,9 +52,9 @@ class ColumnsFit:
     estimates: Floats
     covariance: Floats
 
-    def length_and_sigma(self, which: slice) -> tuple[float, float]:
+    def length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of some estimated values, and its standard deviation."""
-        part, spread = self.estimates[which], self.covariance[which, which]
+        part, spread = self.estimates[columns], self.covariance[columns, columns]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
             return length, float("inf")
@@ -85,16 +85,20 @@ class StationOccupation:
 
     @classmethod
     def from_recording(
-        cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
+        cls,
+        recording: Recording,
+        construction: Construction,
+        row_mask: Bools | None = None,
+        sigma: Floats | None = None,
     ) -> StationOccupation:
         """Occupation of a recording's station.
 
-        `use` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
+        `row_mask` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
         """
-        chosen = np.ones(len(recording), dtype=bool) if use is None else use
-        weight = recording.usable & chosen[:, None]
+        mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
+        weight = recording.usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
         by_point, by_value = construction.reading_design(sightings.raw_readings, np.zeros(construction.n_parameters))
@@ -103,13 +107,13 @@ class StationOccupation:
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
         blank = np.zeros((len(recording), 3, 0))
-        bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
-        columns = bare.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
+        unadjusted = cls(recording, sightings, mask, gap, by_target, blank, sigma, 0)
+        columns = unadjusted.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
-        return replace(whole, whitened_residuals=whole.project_columns(gap[:, :, None] * scale)[:, :, 0])
+        occupation = cls(recording, sightings, mask, gap, by_target, instrument, sigma, dof)
+        return replace(occupation, whitened_residuals=occupation.project_columns(gap[:, :, None] * scale)[:, :, 0])
 
     @property
     def chi2(self) -> float:
@@ -124,54 +128,54 @@ class StationOccupation:
     def project_columns(self, columns: Floats) -> Floats:
         """Whitened columns (n, 3, c) with targets and instrument errors projected out."""
         on_target = np.einsum("nij,nic->njc", self.target_basis, columns)
-        together = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
-        np.add.at(together, self.recording.target, on_target)
-        rest = columns - np.einsum("nij,njc->nic", self.target_basis, together[self.recording.target])
+        target_sums = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
+        np.add.at(target_sums, self.recording.target, on_target)
+        remainder = columns - np.einsum("nij,njc->nic", self.target_basis, target_sums[self.recording.target])
         if self.instrument_basis.shape[2]:
-            amount = np.einsum("nik,nic->kc", self.instrument_basis, rest)
-            rest = rest - np.einsum("nik,kc->nic", self.instrument_basis, amount)
-        return np.asarray(rest)
+            amount = np.einsum("nik,nic->kc", self.instrument_basis, remainder)
+            remainder = remainder - np.einsum("nik,kc->nic", self.instrument_basis, amount)
+        return np.asarray(remainder)
 
     def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
         """Unit columns (3 n, c) of a suspected cause and their lengths (c,).
 
         It is 0 if targets and instrument errors absorb them.
         """
-        whole = design * self.inverse_sigmas[:, :, None]
-        columns = self.project_columns(whole).reshape(-1, design.shape[2])
+        whitened = design * self.inverse_sigmas[:, :, None]
+        columns = self.project_columns(whitened).reshape(-1, design.shape[2])
         length = np.linalg.norm(columns, axis=0)
-        length[length < MIN_REMAINING_SIGNATURE_FRACTION * np.linalg.norm(whole, axis=(0, 1))] = 0.0
+        length[length < MIN_REMAINING_SIGNATURE_FRACTION * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = u[:, good].T @ self.whitened_residuals.ravel()
-        back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
-        covariance = back @ back.T
-        unseen = np.sum(right[good] ** 2, axis=0) < MIN_DETERMINED_FRACTION
+        is_valid = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        amount = u[:, is_valid].T @ self.whitened_residuals.ravel()
+        inverse = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
+        covariance = inverse @ inverse.T
+        unseen = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
         covariance[unseen, unseen] = np.inf
-        return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
+        return ColumnsFit(float(amount @ amount), int(is_valid.sum()), inverse @ amount, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
         """p-value of a chi-square decrease: the larger one of declared and of estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
-        rest = self.dof - fit.rank
-        ratio = (fit.chi2_drop / fit.rank) / max((self.chi2 - fit.chi2_drop) / rest, 1e-30)
-        return max(by_declared, float(special.fdtrc(fit.rank, rest, ratio)))
+        dof = self.dof - fit.rank
+        ratio = (fit.chi2_drop / fit.rank) / max((self.chi2 - fit.chi2_drop) / dof, 1e-30)
+        return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
         """Occupation with the columns (n, 3, c) of a suspected cause fitted too."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)]
-        rest = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
+        residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
         basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
         return replace(
-            self, whitened_residuals=rest.reshape(-1, 3), instrument_basis=basis, dof=self.dof - added.shape[1]
+            self, whitened_residuals=residuals.reshape(-1, 3), instrument_basis=basis, dof=self.dof - added.shape[1]
         )
 
     def target_chi2_and_dof(self) -> tuple[Floats, Floats]:
@@ -187,8 +191,8 @@ class StationOccupation:
     def distance_from_mean(self, row: int) -> float:
         """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
         points = from_polar(self.recording.readings)
-        whole = np.isfinite(points).all(axis=1)
-        others: Bools = np.logical_and(whole & self.row_mask, self.recording.target == self.recording.target[row])
+        is_complete = np.isfinite(points).all(axis=1)
+        others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
@@ -204,29 +208,29 @@ class StationOccupation:
         in_use = self.inverse_sigmas > 0
         response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
         values, vectors = np.linalg.eigh(response)
-        controlled = values > MIN_READING_REDUNDANCY
+        is_controlled = values > MIN_READING_REDUNDANCY
         amount = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
-        drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
-        return drop, controlled.sum(axis=1).astype(np.int64)
+        chi2_drops = np.where(is_controlled, amount**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
+        return chi2_drops, is_controlled.sum(axis=1).astype(np.int64)
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
-    whole = np.isfinite(points).all(axis=1)
-    good = whole & row_mask if (whole & row_mask).any() else whole
+    is_complete = np.isfinite(points).all(axis=1)
+    is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
     total, count = np.zeros((len(recording.targets), 3)), np.zeros(len(recording.targets))
-    np.add.at(total, recording.target[good], points[good])
-    np.add.at(count, recording.target[good], 1.0)
+    np.add.at(total, recording.target[is_valid], points[is_valid])
+    np.add.at(count, recording.target[is_valid], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
     mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
     return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
-def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
+def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
     """Orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
     bases, ranks = np.zeros_like(columns), 0
-    for t in range(count):
+    for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
         good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
@@ -257,14 +261,14 @@ class TwoFaceDifferences:
         recording: Recording,
         motion_corrected: Recording,
         construction: Construction,
-        level: float,
+        alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
         `motion_corrected_pairs` has its readings without motions.
 
-        `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
+        `alpha` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
         if not len(face_pair_rows(recording)):
             return None
@@ -279,7 +283,7 @@ class TwoFaceDifferences:
         ]
         guarantee = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
-            critical = -special.ndtri(level / (2 * pairs.half_differences.size))
+            critical = -special.ndtri(alpha / (2 * pairs.half_differences.size))
             limit = critical * np.hypot(noise, guarantee)
         else:
             metres = pairs.front_face_readings[:, 0]
@@ -347,14 +351,14 @@ def two_face_pairs(
     pairs = face_pair_rows(recording)
     if not len(pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
-    built = construction or ideal_construction()
-    applied = np.zeros(built.n_parameters) if values is None else values
+    model = construction or ideal_construction()
+    applied_values = np.zeros(model.n_parameters) if values is None else values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
-    polar = to_polar(built.point(readings, applied))
+    polar = to_polar(model.point(readings, applied_values))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second
     gap[:, 1:] = wrap_angle(gap[:, 1:])
     place = first - 0.5 * gap
-    half = 0.5 * gap
-    half[:, 1] *= np.cos(place[:, 2])
-    return TwoFacePairs(pairs, place, half)
+    half_difference = 0.5 * gap
+    half_difference[:, 1] *= np.cos(place[:, 2])
+    return TwoFacePairs(pairs, place, half_difference)

@@ -141,23 +141,23 @@ class Check(ResultFile):
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network: Sequence[CheckItem], level: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
         """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
         rest = (item for item in network if item.kind != "mistake")
         items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
-        made = cls(
+        result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
             sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
-            level=level,
+            level=alpha,
             tests=tuple(tests),
             items=items,
         )
-        made._arrays = arrays
-        return made
+        result._arrays = arrays
+        return result
 
     @property
     def arrays(self) -> CheckArrays:
@@ -191,15 +191,15 @@ class Check(ResultFile):
 
 def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
     """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
-    failed = [item for item in items if not item.passed]
+    failed_items = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
     rest = sorted(
-        failed[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
+        failed_items[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
     )
-    failed = [*failed[:count], *rest]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        return f"no-go: {failed[0].sentence}{more}"
+    failed_items = [*failed_items[:count], *rest]
+    if failed_items:
+        more = f" (and {len(failed_items) - 1} more)" if len(failed_items) > 1 else ""
+        return f"no-go: {failed_items[0].sentence}{more}"
     return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and specification"
 
 
@@ -221,6 +221,6 @@ class HypothesisFamily:
 
 
 def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
-    """Two-sided p-value of a chi-square, and a flag that it is too small."""
+    """Two-sided p-value of a chi-square, and a flag that the chi-square is smaller than expected."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

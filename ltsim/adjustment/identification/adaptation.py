@@ -65,5 +65,5 @@ def adjust_with_causes(
     if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
         instrument = fit.state.instrument_parameters
     extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
-    return adjust(changed, construction, effects=(*effects, *shifts), start=start, **options)
+    start_state = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
+    return adjust(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)

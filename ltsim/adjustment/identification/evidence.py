@@ -22,6 +22,7 @@ from ltsim.core.arrays import Floats
 SHIFT_SIZE_DECADES = 6.0
 """Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
+"""Log of the width, in natural logarithms of the size, of the log-uniform prior of a shift."""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
@@ -46,11 +47,23 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
 
     The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """
-    enough = np.asarray(redundancy) > 1.0
-    ratio = np.where(enough, sum_of_squares / np.where(enough, redundancy, 1.0), 1.0)
+    is_sufficient = np.asarray(redundancy) > 1.0
+    ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
-    return np.sqrt(ratio), np.where(enough, gain, 0.0)
+    return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
+
+
+def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
+    """Log of the Occam factor of centring errors with prior N(0, sigma^2) and a posterior covariance (q, q) [m^2].
+
+    The determinant of the posterior covariance relative to the prior one is that of the change of the readings'
+    covariance in the residual space.
+    """
+    relative = np.linalg.eigvalsh(covariance) / sigma**2
+    determined = float(np.sum(np.maximum(1.0 - relative, 0.0)))
+    determinant = float(np.sum(np.log(np.clip(relative, 1e-300, 1.0))))
+    return 0.5 * determinant + float(log_occam_factor_of_variance(determined))
 
 
 PRIOR_FRACTION_BY_KIND = {
@@ -68,7 +81,17 @@ PRIOR_FRACTION_BY_KIND = {
     "unit": 0.05,
     "height": 0.05,
     "noise-level": 0.05,
+    "centring": 0.02,
 }
+"""Fraction of the prior probability of all causes that each kind has; its places share it equally."""
+
+
+LOG_ODDS_OF_CENTRING = -30.0
+"""Log odds of centring errors, in addition to their prior fraction: the margin by which they must exceed other causes.
+
+Displacements of many targets fit any smooth misfit of the model, of which about a tenth of the gain is real; the margin
+is that of other hypotheses in a network with a misfit (`selection.MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT`).
+"""
 
 
 def log_prior_of(kind: str, n_places: int) -> float:

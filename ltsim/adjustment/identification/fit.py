@@ -11,11 +11,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import (
     estimate_variance_factor,
+    log_occam_factor_of_centring,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
     log_prior_of,
 )
 from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
@@ -27,6 +29,7 @@ from ltsim.adjustment.identification.model_changes import (
     subtract_shifts,
 )
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
+from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import relax_exact_references
@@ -108,8 +111,8 @@ class NetworkFit:
         A network that uses them is distorted as a whole.
         """
         problem, start = cls._make_problem(network, hypotheses)
-        relaxed = relax_exact_references(problem, start)
-        state, residual = fit_robust_state(relaxed, resect_contradicted_setups(relaxed, start))
+        relaxed_problem = relax_exact_references(problem, start)
+        state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
@@ -119,7 +122,7 @@ class NetworkFit:
         cls,
         network: FitInput,
         hypotheses: Sequence[Hypothesis] = (),
-        start: NetworkState | None = None,
+        start_state: NetworkState | None = None,
         approximate_sizes: Sightings | None = None,
     ) -> NetworkFit | None:
         """Fit from a start, by default from the recording alone; None for an undetermined network.
@@ -127,14 +130,16 @@ class NetworkFit:
         If the sightings `approximate_sizes` are given, the start is computed from the recording without the guessed
         shifts of the hypotheses.
         """
-        fresh = start is None
-        problem, start = cls._make_problem(network, hypotheses, start, approximate_sizes)
+        fresh = start_state is None
+        problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sizes)
         if fresh:
-            start = resect_contradicted_setups(
-                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start))[0]
+            start_state = resect_contradicted_setups(
+                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             )
-        whole = drop_undetermined(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, MAX_OUTLIER_PASSES))
+        full_problem = drop_undetermined(problem, start_state)
+        fit = cls(
+            network, tuple(hypotheses), full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES)
+        )
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit if fit.solution.has_converged and fit._determines_shifts else None
@@ -153,8 +158,11 @@ class NetworkFit:
                 yield h, h.model_change, slice(first, first := first + len(h.model_change.effect.parameters))
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
-        at = next(at for h, _, at in self.shifts_with_slices if h is hypothesis)
+        """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
+        centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
+        slices = [(h, at) for h, _, at in self.shifts_with_slices]
+        slices += zip(reversed(centrings), reversed(self.problem.model.centring_columns), strict=False)
+        at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
 
     def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
@@ -166,25 +174,25 @@ class NetworkFit:
     def _make_problem(
         network: FitInput,
         hypotheses: Sequence[Hypothesis],
-        start: NetworkState | None = None,
+        start_state: NetworkState | None = None,
         approximate_sizes: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
         """Problem with all usable readings, and a start, as in `from_start`."""
         recording = apply_corrections_and_omissions(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
-        if start is None:
+        if start_state is None:
             reached, lost = initial_network(
                 recording if approximate_sizes is None else subtract_shifts(recording, hypotheses, approximate_sizes)
             )
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
             parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
-            start = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
-        recording = with_plumb_lines(recording, start.station_positions)
+            start_state = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start_state.station_positions)
         effects = tuple(h.model_change.effect for h in hypotheses if isinstance(h.model_change, ReadingShiftChange))
         model = MeasurementModel(recording, network.construction, effects)
-        if len(start.extra_parameters) != model.n_extra_parameters:
-            start = replace(
-                start, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
+        if len(start_state.extra_parameters) != model.n_extra_parameters:
+            start_state = replace(
+                start_state, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
             )
         usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
         sigma = recording.sigma()
@@ -198,8 +206,8 @@ class NetworkFit:
             effect_prior_sigma=WEAK_PRIOR_SIZES,
             prior=network.prior,
         )
-        positions = problem.marks.positions_on_marks(start.station_positions, start.target_points)
-        return problem, replace(start, station_positions=positions)
+        positions = problem.marks.positions_on_marks(start_state.station_positions, start_state.target_points)
+        return problem, replace(start_state, station_positions=positions)
 
     def _with_estimated_noise(self) -> NetworkFit:
         """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
@@ -281,14 +289,14 @@ class NetworkFit:
             readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
         if not outliers:
             readings[self.is_outlier] = np.nan
-        corrected = recording.replace(
+        corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
         if not any(isinstance(h.model_change, NoiseFactor) for h in self.hypotheses):
-            return corrected
+            return corrected_recording
         sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-        return corrected.replace(covariates={**corrected.covariates, **columns})
+        return corrected_recording.replace(covariates={**corrected_recording.covariates, **columns})
 
     @cached_property
     def residuals(self) -> Floats:
@@ -330,29 +338,31 @@ class NetworkFit:
     def misclosure_of(self, value: ReferenceValue) -> Floats:
         """Misclosure (q,) [m, rad] of an omitted reference value in the adjusted network."""
         model = replace(self.problem.model, recording=self.network.recording)
-        declared = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
+        problem = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
-            over = declared.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
+            over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
-        return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+        candidates = (*reference_values(problem, self.state), *common_scale(problem, self.state))
+        return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
         """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
         change, sightings = hypothesis.model_change, self.adjustment.sightings
         if isinstance(change, ReferenceOmission):
             return float(np.abs(self.misclosure_of(change.reference_value)).max())
+        if isinstance(change, CentringChange):
+            return float(np.abs(self.estimate(hypothesis)[0]).max())
         if not isinstance(change, ReadingShiftChange):
             return 0.0
-        moved = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
-        return float(np.max(moved * _displacement_per_reading(sightings)))
+        displacements = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
+        return float(np.max(displacements * displacement_per_reading(sightings)))
 
     @property
     def is_gross_reading(self) -> Bools:
         """Flags (n, 3) of the readings with deviations beyond any error of a tracker."""
         return (
-            np.abs(np.nan_to_num(self.residuals)) * _displacement_per_reading(self.adjustment.sightings)
+            np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
             > MAX_TRACKER_ERROR
         )
 
@@ -367,26 +377,23 @@ class NetworkFit:
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
-        total = -0.5 * self.solution.sum_of_squares + sum(h.log_prior for h in self.hypotheses)
-        total += self.outlier_log_evidence
-        for h in self.hypotheses:
-            if isinstance(h.model_change, ReadingShiftChange):
-                total += float(
-                    log_occam_factor_of_shift(self.length_in_sigmas(h), len(h.model_change.effect.parameters))
-                )
-            elif isinstance(h.model_change, NoiseFactor):
-                chosen = h.model_change.reading_mask & self.problem.used_readings
-                redundancy = np.nansum(self.redundancy[chosen])
-                ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
-                total -= float(np.sum(np.nan_to_num(self.redundancy[chosen]) * np.log(ratio)))
-                total += float(log_occam_factor_of_variance(redundancy))
-            elif isinstance(h.model_change, ReferenceOmission):
-                value = h.model_change.reference_value
-                total += float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
-        return total
+        total = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
+        return total + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
-
-def _displacement_per_reading(sightings: Sightings) -> Floats:
-    """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
-    range_ = sightings.range_
-    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
+    def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
+        """Log of the Occam factor of a hypothesis in the model, with the determinant of a change of the noise."""
+        change = hypothesis.model_change
+        if isinstance(change, ReadingShiftChange):
+            return float(log_occam_factor_of_shift(self.length_in_sigmas(hypothesis), len(change.effect.parameters)))
+        if isinstance(change, NoiseFactor):
+            chosen = change.reading_mask & self.problem.used_readings
+            ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
+            redundancy = np.nan_to_num(self.redundancy[chosen])
+            return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
+        if isinstance(change, CentringChange):
+            covariance = self.estimate(hypothesis)[1]
+            return log_occam_factor_of_centring(covariance, change.centring.sigma_mm * MILLIMETRE)
+        if isinstance(change, ReferenceOmission):
+            value = change.reference_value
+            return float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
+        return 0.0

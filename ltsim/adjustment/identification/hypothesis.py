@@ -8,6 +8,7 @@ from typing import Literal
 from ltsim.adjustment.reference_values import ReferenceValue
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import Signature
+from ltsim.recordings.centring_errors import CentringUncertainty
 
 CauseKind = Literal[
     "outlier",
@@ -24,6 +25,7 @@ CauseKind = Literal[
     "unit",
     "height",
     "noise-level",
+    "centring",
 ]
 """Kind of a simple cause of disagreement between readings and model."""
 
@@ -71,7 +73,14 @@ class CoordinateExchange:
     target_names: tuple[str, str]
 
 
-ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange
+@dataclass(frozen=True)
+class CentringChange:
+    """Centring errors of some targets: a random displacement of the reflector at each of their occupations."""
+
+    centring: CentringUncertainty
+
+
+ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange | CentringChange
 """Change of the network's model by a hypothesis."""
 
 
@@ -117,7 +126,7 @@ class Hypothesis:
         """Key of the place; hypotheses with equal keys are equivalent and differ only in time and guess."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
-    def competes_with(self, other: Hypothesis) -> bool:
+    def competes_with(self, rival: Hypothesis) -> bool:
         """True if both may explain the same readings: equal station or target, or one of them acts everywhere."""
-        places = [(*h.stations, *h.targets) for h in (self, other)]
+        places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -90,13 +90,13 @@ class ShiftFamily:
         times = sightings.time[rows]
         middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
         inner = slice(self.first_onset - 1, max(len(middle) - self.first_onset + 1, self.first_onset - 1))
-        chosen = np.flatnonzero(gap[inner] > 0.0) + self.first_onset - 1
+        indices = np.flatnonzero(gap[inner] > 0.0) + self.first_onset - 1
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
-            moved = np.diff(sightings.station[rows])[chosen] != 0
-            chosen = chosen[moved] if moved.any() else chosen
-        if len(chosen) > MAX_CHANGE_TIMES:
-            chosen = chosen[np.linspace(0, len(chosen) - 1, MAX_CHANGE_TIMES).round().astype(int)]
-        return middle[chosen].tolist()
+            moved = np.diff(sightings.station[rows])[indices] != 0
+            indices = indices[moved] if moved.any() else indices
+        if len(indices) > MAX_CHANGE_TIMES:
+            indices = indices[np.linspace(0, len(indices) - 1, MAX_CHANGE_TIMES).round().astype(int)]
+        return middle[indices].tolist()
 
     def make_effect(self, name: str, onset_time: float) -> Signature:
         """Effect of this family at a named station or target, starting at the time `onset_time` [s]."""
@@ -205,13 +205,14 @@ CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
     "face-confusion": "unit",
     "outlier": "height",
 }
+"""Kind of cause under which a corrected blunder is reported, by the name of the blunder's effect."""
 
 
 def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
     """Hypotheses of wrongly recorded rows, by the positions of outliers after correction."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
-    missed = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
-    for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=missed)):
+    is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
+    for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
         kind = CAUSE_KIND_BY_UNIT_ERROR[mistake.effect]
         change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
@@ -240,54 +241,60 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
 
     They follow from the shape of the network without reference points.
     """
-    declared = {name: recording.target_setup(name) for name in recording.targets}
-    names = [name for name, target in declared.items() if target.known_mm is not None and target.known_axes == "xyz"]
+    setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
+    names = [
+        name for name, target in setup_by_name.items() if target.known_mm is not None and target.known_axes == "xyz"
+    ]
     if len(names) < MIN_POINTS_FOR_EXCHANGE:
         return []
     try:
         (_, _, points), _ = initial_network(without_reference_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
-        there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
+        there = np.array([setup_by_name[name].known_mm for name in names]) * MILLIMETRE
         miss = largest_residual(here, there)
         pairs = list(combinations(range(len(names)), 2))
         swapped = [largest_residual(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
-    best = int(np.argmin(swapped))
-    if not swapped[best] < MIN_EXCHANGE_MISCLOSURE_RATIO * min([miss, *swapped[:best], *swapped[best + 1 :]]):
+    best_index = int(np.argmin(swapped))
+    if not swapped[best_index] < MIN_EXCHANGE_MISCLOSURE_RATIO * min(
+        [miss, *swapped[:best_index], *swapped[best_index + 1 :]]
+    ):
         return []
-    first, second = (names[i] for i in pairs[best])
+    first, second = (names[i] for i in pairs[best_index])
     sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
     prior = log_prior_of("names", len(pairs))
     return [Hypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)]
 
 
-def _swapped_order(n_points: int, first: int, second: int) -> list[int]:
+def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
     """Order of points with two of them exchanged."""
     order = list(range(n_points))
-    order[first], order[second] = second, first
+    order[first_index], order[second_index] = second_index, first_index
     return order
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     """Hypotheses of other noise of all readings, an observable, a target or a station; affected readings (n, 3)."""
     recording = fit.recording
-    every = np.ones((len(recording), 3), dtype=bool)
-    several = len(recording.stations) > 1
-    places = len(OBSERVABLES) + len(recording.targets) + several * len(recording.stations)
+    full_mask = np.ones((len(recording), 3), dtype=bool)
+    is_multiple = len(recording.stations) > 1
+    places = len(OBSERVABLES) + len(recording.targets) + is_multiple * len(recording.stations)
 
-    def noise(acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], among: int, rows: Bools) -> Hypothesis:
-        prior = log_prior_of("noise-level", among)
+    def noise(
+        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, rows: Bools
+    ) -> Hypothesis:
+        prior = log_prior_of("noise-level", n_rivals)
         return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
 
-    yield noise("noise", (), (), 1, every), every
+    yield noise("noise", (), (), 1, full_mask), full_mask
     for k, observable in enumerate(OBSERVABLES):
-        column = every & (np.arange(3) == k)
+        column = full_mask & (np.arange(3) == k)
         yield noise(observable, (), (), places, column), column
     for t, name in enumerate(recording.targets):
-        rows = every & (recording.target == t)[:, None]
+        rows = full_mask & (recording.target == t)[:, None]
         if rows[:, 0].sum() >= MIN_POINTINGS_FOR_TARGET_NOISE:
             yield noise("noise", (), (name,), places, rows), rows
-    for s, name in enumerate(recording.stations) if several else ():
-        rows = every & (recording.station == s)[:, None]
+    for s, name in enumerate(recording.stations) if is_multiple else ():
+        rows = full_mask & (recording.station == s)[:, None]
         yield noise("noise", (name,), (), places, rows), rows

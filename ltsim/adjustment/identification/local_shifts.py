@@ -96,12 +96,12 @@ def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
 
 
 def _robust_parameters(
-    unit_columns: Floats, residual: Floats, is_outlier: Bools, valid: Bools, outlier_cost: float
+    unit_columns: Floats, residual: Floats, is_outlier: Bools, is_used: Bools, outlier_cost: float
 ) -> Floats:
     """Robust parameters (h, r) of unit columns (h, m, r) for residuals (h, m).
 
-    They start at the outliers (h, m) of `valid` rows. For one column the start is the median of the ratios, for several
-    a least-squares solution reweighted to least absolute deviations.
+    They start at the outliers (h, m) of `is_used` rows. For one column the start is the median of the ratios, for
+    several a least-squares solution reweighted to least absolute deviations.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]
@@ -110,10 +110,10 @@ def _robust_parameters(
         amount = _least_squares(unit_columns, residual, is_outlier.astype(np.float64))
         for _ in range(N_REWEIGHTINGS):
             miss = np.abs(residual - _reading_changes(unit_columns, amount))
-            scale = np.maximum(1.5 * _row_medians(miss, valid), 1.0)
-            amount = _least_squares(unit_columns, residual, valid / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))
+            scale = np.maximum(1.5 * _row_medians(miss, is_used), 1.0)
+            amount = _least_squares(unit_columns, residual, is_used / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))
     for _ in range(MAX_TRIMMED_FITS):
-        fits = valid & (0.5 * (residual - _reading_changes(unit_columns, amount)) ** 2 < outlier_cost)
+        fits = is_used & (0.5 * (residual - _reading_changes(unit_columns, amount)) ** 2 < outlier_cost)
         enough = fits.sum(axis=1) > unit_columns.shape[2]
         amount = np.where(enough[:, None], _least_squares(unit_columns, residual, fits.astype(np.float64)), amount)
     return amount
@@ -133,10 +133,10 @@ def _row_medians(values: Floats, mask: Bools) -> Floats:
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:
     """Least-squares parameters (h, r) with weights (h, m); the minimum-norm solution for dependent columns."""
-    weighted = unit_columns * weight[:, :, None]
-    normal = np.swapaxes(weighted, 1, 2) @ weighted
-    right = np.swapaxes(weighted, 1, 2) @ (residual * weight)[:, :, None]
+    weighted_columns = unit_columns * weight[:, :, None]
+    normal = np.swapaxes(weighted_columns, 1, 2) @ weighted_columns
+    right_side = np.swapaxes(weighted_columns, 1, 2) @ (residual * weight)[:, :, None]
     value, vector = np.linalg.eigh(normal)
     is_used = value > MAX_DEPENDENT_EIGENVALUE * value[:, -1:]
-    along = (np.swapaxes(vector, 1, 2) @ right)[:, :, 0]
+    along = (np.swapaxes(vector, 1, 2) @ right_side)[:, :, 0]
     return np.asarray((vector @ (np.where(is_used, along, 0.0) / np.where(is_used, value, 1.0))[:, :, None])[:, :, 0])

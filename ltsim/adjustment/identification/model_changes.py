@@ -1,10 +1,11 @@
-"""Changes of a recording by hypotheses: corrected rows, omitted reference values, subtracted shifts."""
+"""Changes of a recording by hypotheses: corrected rows, omitted references, subtracted shifts, centring errors."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
     CoordinateExchange,
     Hypothesis,
     ReadingShiftChange,
@@ -24,10 +25,10 @@ def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_si
         s.start_values if approximate_sizes is not None and s.start_values else (0.0,) * len(s.effect.parameters)
         for s in shifts
     ]
-    whole = np.zeros(size)
-    flat = [v for value in values for v in value]
-    whole[: len(flat)] = flat
-    return whole
+    parameters = np.zeros(size)
+    all_values = [v for value in values for v in value]
+    parameters[: len(all_values)] = all_values
+    return parameters
 
 
 def subtract_shifts(recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sizes: Sightings) -> Recording:
@@ -40,7 +41,7 @@ def subtract_shifts(recording: Recording, hypotheses: Sequence[Hypothesis], appr
 
 
 def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
-    """Recording with corrected rows, and without rejected reference values."""
+    """Recording with corrected rows and centring errors, and without rejected reference values."""
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.model_change, RowCorrection):
@@ -56,4 +57,7 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
             recording = drop_reference(recording, h.model_change.reference_value)
         elif isinstance(h.model_change, CoordinateExchange):
             recording = exchange_coordinates(recording, *h.model_change.target_names)
+        elif isinstance(h.model_change, CentringChange):
+            centring = (*recording.setup.centring, h.model_change.centring)
+            recording = recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
     return recording

@@ -52,6 +52,6 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
 
 def _is_far(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (n, 3) of the used readings with far residuals."""
-    whitened = whitened_residuals(problem, state)
-    scale = max(robust_sigma(whitened[problem.used_readings]), 1.0)
-    return np.asarray(problem.used_readings & (whitened > MIN_FAR_RESIDUAL * scale))
+    whitened_residual = whitened_residuals(problem, state)
+    scale = max(robust_sigma(whitened_residual[problem.used_readings]), 1.0)
+    return np.asarray(problem.used_readings & (whitened_residual > MIN_FAR_RESIDUAL * scale))

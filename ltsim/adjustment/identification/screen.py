@@ -14,6 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fitting import fit_point
+from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
     estimate_variance_factor,
     log_occam_factor_of_shift,
@@ -57,10 +58,10 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     """Hypotheses with their approximate gain of log evidence, the largest first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
-    plain = _non_robust_fit(fit)
+    non_robust_fit = _non_robust_fit(fit)
     spaces = [(ResidualSpace.from_adjustment(fit.adjustment), 0.0)]
-    if plain is not None:
-        spaces.append((ResidualSpace.from_adjustment(plain[0]), plain[1]))
+    if non_robust_fit is not None:
+        spaces.append((ResidualSpace.from_adjustment(non_robust_fit[0]), non_robust_fit[1]))
     for space, behind in spaces:
         gains = np.maximum(gains, _exact_log_evidence(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
@@ -75,6 +76,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     for space, behind in spaces:
         offers += [(gain + behind, h) for gain, h in _reference_hypotheses(fit, space.adjustment)]
         offers += [(gain + behind, h) for gain, h in _length_scale_hypothesis(fit, space)]
+        offers += [(gain + behind, h) for gain, h in centring_hypotheses(fit, space)]
     if fit.is_outlier.any():
         offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
         offers += [
@@ -82,6 +84,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
             for h in reference_omissions(fit)
             if h.targets
         ]
+        offers += local_centring_hypotheses(fit)
     offers += _noise_hypotheses(fit)
     if fit.is_outlier.sum() > MIN_OUTLIERS_FOR_TRIAL:
         offers += _distance_trial_hypotheses(fit, every)
@@ -96,8 +99,8 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
     solution = solve(fit.problem_with_all_readings, fit.state)
     if solution.factor is None or not solution.has_converged:
         return None
-    behind = -0.5 * (solution.sum_of_squares - fit.solution.sum_of_squares) - fit.outlier_log_evidence
-    return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(behind, 0.0)
+    evidence_deficit = -0.5 * (solution.sum_of_squares - fit.solution.sum_of_squares) - fit.outlier_log_evidence
+    return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(evidence_deficit, 0.0)
 
 
 def _best_per_place(
@@ -117,13 +120,13 @@ def _best_per_place(
 def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Log evidence (h,) of candidates in a residual space."""
     gains = np.full(len(candidates), -np.inf)
-    chosen = np.arange(len(candidates))
+    indices = np.arange(len(candidates))
     sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if sizes.sum() > MAX_EXACTLY_PROJECTED_ENTRIES:
-        chosen = np.argsort(-_approximate_log_evidence(space, candidates))
-        chosen = chosen[np.cumsum(sizes[chosen]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
+        indices = np.argsort(-_approximate_log_evidence(space, candidates))
+        indices = indices[np.cumsum(sizes[indices]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
-    for i in chosen.tolist():
+    for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
         step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
@@ -219,12 +222,12 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     The network places a target that moved far between both positions, so that no reading to it fits.
     """
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
-    moved = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
+    moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
     share = {
         candidates[i].place_name: float(
             gross[np.append(candidates[i].affected_rows, candidates[i].earlier_rows)].mean()
         )
-        for i in moved
+        for i in moved_indices
     }
     suspects = sorted(
         (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
@@ -233,7 +236,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
         log_occam_factor_of_shift(10.0, 1)
     )
     sigma = fit.problem.sigma
-    for i in (i for i in moved if candidates[i].place_name in suspects):
+    for i in (i for i in moved_indices if candidates[i].place_name in suspects):
         parts = candidates[i].earlier_rows, candidates[i].affected_rows
         points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
         if len(points) < len(parts):
@@ -311,8 +314,8 @@ def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
 
 def _rows_with_targets(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
     """Rows with pointings to the targets of a hypothesis."""
-    at = [fit.recording.targets.index(name) for name in hypothesis.targets]
-    return np.flatnonzero(np.isin(fit.recording.target, at))
+    indices = [fit.recording.targets.index(name) for name in hypothesis.targets]
+    return np.flatnonzero(np.isin(fit.recording.target, indices))
 
 
 def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
@@ -357,6 +360,6 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
     gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + log_occam_factor_of_variance(redundancy)
-    best = int(np.argmax(gain))
-    change = NoiseFactor(reading_mask, float(factor[best]))
-    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, model_change=change)
+    best_index = int(np.argmax(gain))
+    change = NoiseFactor(reading_mask, float(factor[best_index]))
+    return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -6,13 +6,18 @@ values, other hypotheses) is tested again. Nothing is corrected in advance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ltsim.adjustment.identification.cause_selection import (
+    CauseSelection,
+    SelectedHypothesis,
+    has_general_misfit,
+)
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
-    CoordinateExchange,
+    CentringChange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
@@ -22,9 +27,6 @@ from ltsim.adjustment.identification.library import convention_corrections, coor
 from ltsim.adjustment.identification.screen import screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_REPORTED_PROBABILITY
-from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
-from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
-from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
@@ -42,16 +44,10 @@ MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT = 30.0
 A misfit of the model varies smoothly, so that neighbouring readings repeat the same information: about a tenth of the
 gain is real.
 """
-MAX_LOG_EVIDENCE_GAIN = 1e30
-"""Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
-MIN_LOG_EVIDENCE_CERTAIN = 7.0
-"""Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
-SHARED_CAUSE_KINDS = ("constant-offset", "scale-error", "orientation", "reflector-radius")
-"""Kinds of causes that all readings of one observable, or of one set-up, share."""
-MAX_REFERENCE_MISCLOSURE = 0.1
-"""Misclosure of a reference value [m] above which a network that uses it may not converge."""
+MAX_CAUSES_BEFORE_CENTRING = 3
+"""Number of simple causes whose evidence together is compared with that of centring errors."""
 N_FITTED_HYPOTHESES = 4
 """Number of hypotheses that are fitted in a step, in the order of their approximate gains."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
@@ -80,83 +76,6 @@ MIN_GAIN_FRACTION_TRUSTED = 0.8
 to be trusted."""
 
 
-@dataclass(frozen=True)
-class SelectedHypothesis:
-    """Selected hypothesis, its gain of log evidence given the others, and the alternatives fitted in its place."""
-
-    hypothesis: Hypothesis
-    log_evidence_gain: float
-    alternatives: tuple[tuple[Hypothesis, float], ...]
-
-    @property
-    def probabilities(self) -> Floats:
-        """Posterior probabilities (2 + k,) of the hypothesis, of its k alternatives, and of none of them."""
-        every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
-        gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
-        return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
-
-
-@dataclass(frozen=True)
-class CauseSelection:
-    """Network with the simple causes that the readings support.
-
-    Attributes
-    ----------
-    fit : NetworkFit
-    selected_hypotheses : tuple of SelectedHypothesis
-        Selected shifts, then changes of the noise; the most certain first in each group.
-    """
-
-    fit: NetworkFit
-    selected_hypotheses: tuple[SelectedHypothesis, ...]
-
-    @property
-    def requires_initial_causes(self) -> bool:
-        """True if the network must be adjusted with the selected hypotheses from the start to be consistent.
-
-        An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
-        tests, also if the noise is smaller than declared. Single motions and reference values have separate tests.
-        """
-        sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
-        shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
-        values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
-        far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
-        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
-        gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
-        changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in changes)
-        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
-
-    @property
-    def certain_motions(self) -> tuple[FittedMotion, ...]:
-        """Motions beyond doubt, the surest of each station, for an adjustment without the other hypotheses."""
-        certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
-        sure = [c.hypothesis.model_change for c in certain]
-        motions: dict[tuple[str, ...], FittedMotion] = {}
-        for effect in (change.effect for change in sure if isinstance(change, ReadingShiftChange)):
-            motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
-            if isinstance(motion, FittedMotion):
-                motions.setdefault(motion.stations, motion)
-        return tuple(motions.values())
-
-    @property
-    def is_consistent(self) -> bool:
-        """True if the network is consistent with the selected hypotheses and none of them is doubtful.
-
-        Excluded are set-ups in another unit or sense (their rows are read again), noise smaller than declared (its
-        outliers may be none), and larger noise with remaining outliers. Reference values and tripods over marks have
-        more specific tests.
-        """
-        changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
-        omitted = any(isinstance(change, ReferenceOmission) for change in changes)
-        others = omitted or any(self.fit.problem.marks.mark_names)
-        doubtful = quieter or others or (_has_general_misfit(self.fit) and bool(self.fit.is_outlier.any()))
-        causes = self.selected_hypotheses
-        sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
-        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
-
-
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a station's motion, in its standard deviations, at which other moments are fitted: a smaller one
 does not distort the network.
@@ -182,17 +101,33 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     """
     fit = beginning = _initial_fit(network)
     last: FitKey | None = None
-    required: list[Hypothesis] = []
+    spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
-        needed = min_gain if not _has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
+        needed = min_gain if not has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         best = _refine_motion_time(tried[0][1])
-        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), required)
+        if isinstance(tried[0][0].model_change, CentringChange):
+            best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
+        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last, required)
+    return _compare_again(fit, min_gain, beginning, last, spared)
+
+
+def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) -> NetworkFit:
+    """Fit with a few more shifts, each with a gain of at least `needed`, where they may exceed the evidence of a rival.
+
+    Centring errors, the rival, also fit the sum of several simple causes.
+    """
+    for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
+        smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
+        tried = _fit_best_hypotheses(fit, smallest, excluded_changes=(CentringChange, NoiseFactor))
+        if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
+            break
+        fit = tried[0][1]
+    return fit
 
 
 def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
@@ -228,12 +163,6 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
         else:
             step //= 2
     return fit
-
-
-def _has_general_misfit(fit: NetworkFit) -> bool:
-    """True if all readings scatter more than declared, so that residuals may come from a misfit of the model."""
-    general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
-    return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
@@ -290,7 +219,11 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 
 
 def _fit_best_hypotheses(
-    fit: NetworkFit, min_count: float = 0.0, replaced_hypothesis: Hypothesis | None = None
+    fit: NetworkFit,
+    min_count: float = 0.0,
+    replaced_hypothesis: Hypothesis | None = None,
+    *,
+    excluded_changes: tuple[type, ...] = (),
 ) -> list[tuple[Hypothesis, NetworkFit]]:
     """Fitted hypotheses with the largest approximate gains (at least `min_count`), the best first.
 
@@ -305,6 +238,8 @@ def _fit_best_hypotheses(
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
         if promised <= max(min_count, 0.0) or attempts >= N_FITTED_HYPOTHESES or best > promised:
             break
+        if isinstance(hypothesis.model_change, excluded_changes):
+            continue
         if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue
         if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
@@ -335,38 +270,38 @@ def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float)
     return best
 
 
-def _drop_unneeded(fit: NetworkFit, min_gain: float, first: int, required: list[Hypothesis]) -> NetworkFit:
+def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
-    Of the `first` hypotheses, with which the fit started, only omitted reference values may be removed, because without
-    the others there is no network. Hypotheses in `required` also remain; any that prove to be necessary are added to
-    it.
+    Of the first `n_start` hypotheses only omitted reference values may be removed: without the others there is no
+    network. Hypotheses in `spared` remain too; those that prove to be necessary are added to it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        if (i < first and not isinstance(h.model_change, ReferenceOmission)) or not h.competes_with(fit.hypotheses[-1]):
+        is_initial = i < n_start and not isinstance(h.model_change, ReferenceOmission)
+        if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _fit_without(fit, h, required)
+        rest = _fit_without(fit, h, spared)
         if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
-def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, required: list[Hypothesis]) -> NetworkFit | None:
-    """Fit without one of its hypotheses; None, and an entry in `required`, if there is no network without it."""
-    if any(h is hypothesis for h in required):
+def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, spared: list[Hypothesis]) -> NetworkFit | None:
+    """Fit without one of its hypotheses; None, and an entry in `spared`, if there is no network without it."""
+    if any(h is hypothesis for h in spared):
         return None
-    others = tuple(h for h in fit.hypotheses if h is not hypothesis)
+    remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        rest = NetworkFit.from_start(fit.network, others, replace(fit.state, extra_parameters=np.zeros(0)))
+        rest = NetworkFit.from_start(fit.network, remaining, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         rest = None
     if rest is None:
-        required.append(hypothesis)
+        spared.append(hypothesis)
     return rest
 
 
 def _compare_again(
-    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, required: list[Hypothesis]
+    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, spared: list[Hypothesis]
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the others.
 
@@ -376,7 +311,7 @@ def _compare_again(
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, required)
+        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, spared)
         if rest is None:
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
@@ -388,7 +323,7 @@ def _compare_again(
         )
         others = [(other, made) for other, made in tried if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _compare_again(others[0][1], min_gain, initial_fit, None, required)
+            return _compare_again(others[0][1], min_gain, initial_fit, None, spared)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.

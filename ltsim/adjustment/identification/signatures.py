@@ -70,3 +70,9 @@ class ReadingShift(Signature):
             return Linearisation(design @ values, design)
         scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
         return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+
+
+def displacement_per_reading(sightings: Sightings) -> Floats:
+    """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
+    range_ = sightings.range_
+    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

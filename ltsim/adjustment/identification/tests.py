@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
+from ltsim.adjustment.identification.centring_errors import common_displacement
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseKind,
+    CentringChange,
     CoordinateExchange,
     Hypothesis,
     NoiseFactor,
@@ -18,7 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
+from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
@@ -27,8 +30,6 @@ from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
-
-ChangeType = TypeVar("ChangeType")
 
 
 class CausePlace(Entry):
@@ -91,16 +92,6 @@ class CauseTest(Entry):
 
 MAX_LISTED_OUTLIERS = 20
 """Largest number of outliers with a separate test, the largest first."""
-SMR_RADIUS_DIFFERENCES = {
-    12.7e-3: ("0.5 inch", "1.5 inch"),
-    7.94e-3: ("7/8 inch", "1.5 inch"),
-    4.76e-3: ("0.5 inch", "7/8 inch"),
-}
-"""Differences of the radii of common SMRs [m], with the smaller and the larger one."""
-PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
-"""Constants of common prisms [m]."""
-MAX_NOMINAL_DIFFERENCE = 60e-6
-"""Tolerance [m] between an offset and a nominal size, for an offset with a smaller uncertainty."""
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
@@ -123,6 +114,11 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         size = {"estimate": miss / factor, "unit": unit}
     elif isinstance(h.model_change, NoiseFactor):
         size = {"estimate": estimated_noise_factor(fit, h)}
+    elif isinstance(h.model_change, CentringChange):
+        rank = len(fit.estimate(h)[0])
+        size = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
+        if (common := common_displacement(fit, h)) is not None:
+            size |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
@@ -137,7 +133,7 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         if s > MIN_REPORTED_PROBABILITY
     )
     return CauseTest(
-        kind=h.kind,
+        kind=reported_kind(fit, h),
         acts_on=h.acts_on,
         where=CausePlace(stations=h.stations, targets=h.targets),
         statistic=drop,
@@ -151,11 +147,18 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
     )
 
 
+def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
+    """Kind of an accepted hypothesis in the table of tests: displacements of one length are another reflector."""
+    if isinstance(hypothesis.model_change, CentringChange) and common_displacement(fit, hypothesis) is not None:
+        return "reflector-radius"
+    return hypothesis.kind
+
+
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
     """Factor on the declared standard deviations of an accepted change of the noise."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
-    chosen = hypothesis.model_change.reading_mask & fit.problem.used_readings
-    return float(np.median(fit.problem.sigma[chosen] / fit.network.recording.sigma()[chosen]))
+    mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
+    return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
 def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
@@ -203,6 +206,12 @@ REFERENCE_PHRASES = {
 
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis with its usual causes."""
+    is_centring = isinstance(hypothesis.model_change, CentringChange)
+    return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
+
+
+def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Sentence on any cause but centring errors."""
     at = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.name
@@ -218,6 +227,7 @@ def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         verb, them = ("are", "them") if plural else ("is", "it")
         phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.name}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
+    assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate(hypothesis)
     estimate = _estimated_size(hypothesis, values, covariance)
     size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
@@ -240,17 +250,40 @@ def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if hypothesis.kind == "station-drift":
         return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
-    between = _row_interval_text(fit, hypothesis)
+    interval_text = _row_interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
-        return f"The horizontal circle of {at} was turned by {size} {between}."
+        return f"The horizontal circle of {at} was turned by {size} {interval_text}."
     if hypothesis.kind == "station-bump":
         turn, spread = values[3:], covariance[3:, 3:]
         length = float(np.linalg.norm(turn))
         sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
         turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
-        return f"Station {at} moved {between}, by {size} and {turned}."
+        return f"Station {at} moved {interval_text}, by {size} and {turned}."
     assert isinstance(effect, TargetMoved)
-    return f"Target {at} moved {between}, by {size}."
+    return f"Target {at} moved {interval_text}, by {size}."
+
+
+def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Sentence on centring errors: displacements of one length at a set-up, or of random size."""
+    assert isinstance(hypothesis.model_change, CentringChange)
+    size = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm (standard deviation)"
+    if hypothesis.targets:
+        what = f"The reflector on {hypothesis.targets[0]} is displaced at random at each set-up"
+        return f"{what}, by {size} along each axis: check its centring."
+    at = hypothesis.stations[0]
+    common = common_displacement(fit, hypothesis)
+    if common is None:
+        return (
+            f"The reflectors seen from {at} are displaced from their targets at random, by {size} along each axis: "
+            f"they were not in their places (centring), or {at} has errors that repeat in all rounds."
+        )
+    text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
+    side = "away from" if common.length > 0 else "towards"
+    cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
+    return (
+        f"At {at} the centres of the SMRs are displaced by one length of {text}, {side} their nests: {cause}. "
+        "Declare the normals of the nests (nest_normal), so that it is estimated along them."
+    )
 
 
 def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
@@ -264,10 +297,10 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if hypothesis.targets:
         acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
     rows = s.measurement_order[acts[s.measurement_order]]
-    at = int(np.searchsorted(s.time[rows], since))
-    if not 0 < at < len(rows):
+    index = int(np.searchsorted(s.time[rows], since))
+    if not 0 < index < len(rows):
         return "during its measurement"
-    return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
+    return f"between rows {rows[index - 1] + 1} and {rows[index] + 1}"
 
 
 def _number_text(value: float) -> str:
@@ -275,46 +308,12 @@ def _number_text(value: float) -> str:
     return f"{float(f'{value:.4g}'):.12g}"
 
 
-def usual_offset_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of an offset of distances [m]; empty for none."""
-    pairs = {
-        size: f"the radii of a {small} and a {large} SMR differ by this"
-        for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
-    }
-    return _nearest_nominal({**pairs, **PRISM_CONSTANTS}, value, sigma) or ""
-
-
-def usual_smr_text(value: float, sigma: float) -> str:
-    """Text of the SMR that was used in place of another, from the displacement [m] of its centre from the nest.
-
-    It is empty for none.
-    """
-    pair = _nearest_nominal(SMR_RADIUS_DIFFERENCES, value, sigma)
-    if pair is None:
-        return ""
-    used, assumed = reversed(pair) if value > 0 else pair
-    return f"a {used} SMR in place of a {assumed} one"
-
-
-def _nearest_nominal(nominal_sizes: Mapping[float, ChangeType], value: float, sigma: float) -> ChangeType | None:
-    """Entry of the usual size [m] within `MAX_NOMINAL_DIFFERENCE` of a value.
-
-    None if there is none or the sigma is larger.
-    """
-    close = [
-        entry
-        for size, entry in nominal_sizes.items()
-        if abs(abs(value) - size) < MAX_NOMINAL_DIFFERENCE and sigma < MAX_NOMINAL_DIFFERENCE
-    ]
-    return close[0] if close else None
-
-
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
     """Tests of rejected readings, the largest first, each against its prediction by all readings in use."""
     recording, tests = fit.recording, list[CauseTest]()
-    at = np.argwhere(fit.is_outlier)
-    at = at[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
-    for i, k in at.tolist():
+    indices = np.argwhere(fit.is_outlier)
+    indices = indices[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
+    for i, k in indices.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
         value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * fit.outlier_prediction_sigmas[i, k])
@@ -351,8 +350,8 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
     """Probability that the target of an outlier has moved, which is possible if it is the last pointing."""
     s = fit.adjustment.sightings
-    same = np.flatnonzero(s.target == s.target[row])
-    if same[np.argmax(s.time[same])] != row or len(same) < 2:
+    same_rows = np.flatnonzero(s.target == s.target[row])
+    if same_rows[np.argmax(s.time[same_rows])] != row or len(same_rows) < 2:
         return 0.0
     w = float(np.sqrt(chi2_drop))
     odds = log_prior_of("target-moved", len(s)) - log_prior_of(

@@ -45,7 +45,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
     physics counts as one more effect.
     """
-    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
+    return noncentrality(dof, alpha=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
@@ -132,15 +132,15 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
 
     At most `MAX_EXAMINED_PLACES` of the places are examined.
     """
-    examined = select_places(places)
-    noises = [effect for effect in examined if isinstance(effect, NoiseEffect)]
+    selected_places = select_places(places)
+    noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
     signatures: list[tuple[Effect, Floats, float, int, Floats]] = []
     informations = _noise_effect_information(space, noises) if noises else []
     signatures += [
         (effect, information, 1.0, len(information), np.zeros((0, 0)))
         for effect, information in zip(noises, informations, strict=True)
     ]
-    for effect in () if noises else examined:
+    for effect in () if noises else selected_places:
         whole = space.whitened_signature(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
@@ -152,30 +152,30 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
 
 
 def effect_detectability(
-    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int
+    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
 ) -> EffectDetectability:
     """Detectability of one effect from its projected signatures.
 
-    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `sought` is the number of places
-    that a search tries.
+    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `effect_index` is the number of
+    places that a search tries.
     """
     effects, information, visible, spent, columns = zip(*signatures, strict=True)
-    needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
-    sizes = tuple(map(_minimal_sizes, information, needed))
+    noncentralities = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
+    sizes = tuple(map(_minimal_sizes, information, noncentralities))
     names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
 
 
-def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, Floats, Ints]:
+def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
     """Information (..., q, q), visible fraction (...) and rank (...) from Gram matrices of projected unit columns.
 
     `norm` (..., q) are the lengths of the columns, `visible_fraction` is the fraction of a squared length below which
     it is rounding.
     """
     share = np.einsum("...ii->...i", gram)
-    shown = np.where(share < visible, 0.0, norm)
-    rank = np.sum(np.linalg.eigvalsh(gram) > visible, axis=-1)
-    return gram * shown[..., :, None] * shown[..., None, :], np.mean(share, axis=-1), rank
+    visible_norms = np.where(share < min_visible_fraction, 0.0, norm)
+    rank = np.sum(np.linalg.eigvalsh(gram) > min_visible_fraction, axis=-1)
+    return gram * visible_norms[..., :, None] * visible_norms[..., None, :], np.mean(share, axis=-1), rank
 
 
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
@@ -188,12 +188,12 @@ def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
 
 def _place_text(effect: Effect) -> str:
     """Text of the place and shape of an effect."""
-    parts = [*effect.stations, *effect.targets]
+    names = [*effect.stations, *effect.targets]
     for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
         if isinstance(value, float):
-            parts.append(f"{shape.name} {value:.3g}")
-    return " ".join(parts)
+            names.append(f"{shape.name} {value:.3g}")
+    return " ".join(names)
 
 
 def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
@@ -202,8 +202,11 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
     from zero.
     """
-    at = [adjustment.construction.index(p.name) for p in effect.parameters]
-    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
+    indices = [adjustment.construction.index(p.name) for p in effect.parameters]
+    block, prior = (
+        adjustment.instrument_covariance[np.ix_(indices, indices)],
+        adjustment.problem.prior.sigma[0][indices],
+    )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < INFORMATION_ROUNDING_ERROR] = 0.0
     sizes = _minimal_sizes(information, noncentrality(len(information)))
@@ -263,19 +266,21 @@ def catalogue_detectability(
     Terms that the construction estimates are treated as estimated; all others are additional signatures.
     """
     space = ResidualSpace.from_adjustment(adjustment)
-    estimated = set(adjustment.construction.parameter_names)
-    examined: list[EffectDetectability] = []
+    estimated_names = set(adjustment.construction.parameter_names)
+    reports: list[EffectDetectability] = []
     silent: list[str] = []
     for entry in catalogue:
         kind = entry if isinstance(entry, type) else type(entry)
-        if kind.parameters and {p.name for p in kind.parameters} <= estimated:
-            examined.append(baseline_detectability(adjustment, kind()))
+        if kind.parameters and {p.name for p in kind.parameters} <= estimated_names:
+            reports.append(baseline_detectability(adjustment, kind()))
             continue
         effect_report = detectability_at_places(space, kind.candidates(adjustment.sightings))
         if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):
             silent.append(kind.name)
         if effect_report is not None:
-            examined.append(effect_report)
-    signed = [effect_report for effect_report in examined if any(b.size for b in effect_report.projected_basis)]
-    similarity = np.array([[explained_fraction(a, b) for b in signed] for a in signed]).reshape(len(signed), -1)
-    return CatalogueDetectability(tuple(examined), tuple(silent), tuple(s.name for s in signed), similarity)
+            reports.append(effect_report)
+    signed_reports = [effect_report for effect_report in reports if any(b.size for b in effect_report.projected_basis)]
+    similarity = np.array([[explained_fraction(a, b) for b in signed_reports] for a in signed_reports]).reshape(
+        len(signed_reports), -1
+    )
+    return CatalogueDetectability(tuple(reports), tuple(silent), tuple(s.name for s in signed_reports), similarity)

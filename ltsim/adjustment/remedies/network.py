@@ -54,9 +54,9 @@ class PlannedNetwork:
         )
         if values.shape[1] != built.n_parameters:
             values = np.zeros((len(recording.instruments), built.n_parameters))
-        used = np.where(adjustment.problem.used_readings, recording.readings, np.nan)
+        readings = np.where(adjustment.problem.used_readings, recording.readings, np.nan)
         return cls(
-            recording.with_readings(used),
+            recording.with_readings(readings),
             replace(state, instrument_parameters=values, extra_parameters=np.zeros(0)),
             built,
             prior,
@@ -88,36 +88,39 @@ class PlannedNetwork:
         `time` [s] is that of the first of them, or of each; default right after the last one made.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
-        when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
-        when = when if when.ndim else when + step * np.arange(count)
-        last = int(np.argmax(recording.time))
-        flat = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
+        times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
+        times = times if times.ndim else times + step * np.arange(count)
+        last_index = int(np.argmax(recording.time))
+        distance_kind = "horizontal" if recording.is_horizontal[recording.is_measured[:, 0]].all() else ""
 
-        def append_rows(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
-            return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
+        def append_rows(column: Floats | Ints, new_rows: Floats | Ints | float) -> Floats:
+            return np.concatenate([column, np.broadcast_to(new_rows, (count, *column.shape[1:])).astype(column.dtype)])
 
-        whole = recording.replace(
+        full_recording = recording.replace(
             station=append_rows(recording.station, station),
             target=append_rows(recording.target, target),
             face=append_rows(recording.face, face),
             repeat=append_rows(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
-            time=append_rows(recording.time, when),
+            time=append_rows(recording.time, times),
             readings=append_rows(recording.readings, np.nan),
             covariates={
-                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
+                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last_index])
                 for key, column in recording.covariates.items()
             },
             labels={
-                key: (*column, *([flat if key == KIND_COLUMN else ""] * count))
+                key: (*column, *([distance_kind if key == KIND_COLUMN else ""] * count))
                 for key, column in recording.labels.items()
             },
         )
-        predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
-        reads = np.array(
-            [recording.is_measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+        prediction = MeasurementModel(full_recording, self.construction).predict(self.state)[len(recording) :]
+        is_read = np.array(
+            [
+                recording.is_measured[recording.instrument == i].any(axis=0)
+                for i in range(len(full_recording.instruments))
+            ]
         )
-        predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
-        return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
+        prediction[~is_read[full_recording.instrument[len(recording) :]]] = np.nan
+        return replace(self, recording=full_recording.with_readings(np.concatenate([recording.readings, prediction])))
 
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
         """Network with an additional set-up at `position` (3,), `rotation` (3, 3).
@@ -125,8 +128,8 @@ class PlannedNetwork:
         Instrument and level are those of set-up `template_station`.
         """
         recording, state = self.recording, self.state
-        declared = recording.station_setup(recording.stations[template_station])
-        fresh = declared.model_copy(
+        station_setup = recording.station_setup(recording.stations[template_station])
+        fresh = station_setup.model_copy(
             update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None}
         )
         setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
@@ -134,28 +137,37 @@ class PlannedNetwork:
             np.vstack([state.station_positions, position]),
             np.concatenate([state.station_rotations, rotation[None]]),
         )
-        grown = recording.replace(setup=setup, stations=(*recording.stations, name))
-        return replace(self, recording=grown, state=replace(state, station_positions=places, station_rotations=turns))
+        new_recording = recording.replace(setup=setup, stations=(*recording.stations, name))
+        return replace(
+            self, recording=new_recording, state=replace(state, station_positions=places, station_rotations=turns)
+        )
 
     def with_targets(self, names: Sequence[str], points: Floats) -> PlannedNetwork:
         """Network with additional reflectors at `points` (k, 3) without pointings."""
-        grown = self.recording.replace(targets=(*self.recording.targets, *names))
+        new_recording = self.recording.replace(targets=(*self.recording.targets, *names))
         return replace(
             self,
-            recording=grown,
+            recording=new_recording,
             state=replace(self.state, target_points=np.vstack([self.state.target_points, points])),
         )
 
-    def with_length(self, first: int, second: int, sigma_mm: float) -> PlannedNetwork:
+    def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
         recording, rows = self.recording, GaugeRows.from_recording(self.recording)
-        if {first, second} in (
+        if {first_target, second_target} in (
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
         ):
             return self
-        length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
+        length = (
+            float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
+            / MILLIMETRE
+        )
         # `from` is a keyword: the alias goes in through a mapping.
-        ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
-        added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)
-        gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
+        end_names: dict[str, Any] = {
+            "from": recording.targets[first_target],
+            "to": recording.targets[second_target],
+            "length_mm": length,
+        }
+        new_length = GaugeDistance(**end_names, sigma_mm=sigma_mm, measured_in_place=True)
+        gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, new_length)})
         return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

@@ -88,11 +88,11 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size (q,) of an effect that fits a projected vector best, and the remaining squared length."""
-    projected = space.project(space.whitened_signature(effect))
-    if not np.isfinite(projected).all() or not projected.any():
+    projected_signature = space.project(space.whitened_signature(effect))
+    if not np.isfinite(projected_signature).all() or not projected_signature.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(projected, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - projected @ values) ** 2))
+    values = np.asarray(np.linalg.lstsq(projected_signature, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - projected_signature @ values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -171,11 +171,15 @@ class MeasurementProposal(ValueEquality):
         if not adjustment.construction.n_parameters:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
-        sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
+        sigma_gain = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
-        best = int(np.argmin(ratio))
+        best_index = int(np.argmin(ratio))
         return cls(
-            remedy, float(sharper), adjustment.construction.parameter_names[best], float(ratio[best]), evidence or {}
+            remedy,
+            float(sigma_gain),
+            adjustment.construction.parameter_names[best_index],
+            float(ratio[best_index]),
+            evidence or {},
         )
 
     @property
@@ -191,14 +195,14 @@ class MeasurementProposal(ValueEquality):
     @property
     def sort_key(self) -> tuple[int, int, float, float]:
         """Sort key, smaller is better: number of distinguished explanations, then effort, then evidence."""
-        near = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
+        decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
         if not self.distinguished_explanations:
-            return 0, 0, 0.0, -near
+            return 0, 0, 0.0, -decisive_chi2
         return (
             -len(self.distinguished_explanations),
             KINDS_BY_EFFORT.index(self.remedy.kind),
             self.remedy.duration,
-            -near,
+            -decisive_chi2,
         )
 
 
@@ -242,8 +246,8 @@ def rank_next_measurements(
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
-    measured = load_recording(recording)
-    adjustment = adjust(measured, declared_construction(measured))
+    input_recording = load_recording(recording)
+    adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
     if len(explanations) > 1:
         plain = residual_space_of(adjustment)
@@ -256,8 +260,8 @@ def rank_next_measurements(
             adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    every = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
-    remedies = [remedy for remedy in every if remedy.is_determined]
+    candidates = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
+    remedies = [remedy for remedy in candidates if remedy.is_determined]
     proposals = []
     for done, remedy in enumerate(remedies, 1):
         proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment))
@@ -282,26 +286,28 @@ def rank_deciding_measurements(
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     space = residual_space_of(network.adjustment, extra_effects)
     rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
-    decided = [name for name, pair in rivals.items() if pair.present_evidence >= MIN_DECISIVE_CHI2]
-    if len(decided) < len(rivals):
-        rivals = {name: pair for name, pair in rivals.items() if name not in decided}
+    decided_names = [name for name, pair in rivals.items() if pair.present_evidence >= MIN_DECISIVE_CHI2]
+    if len(decided_names) < len(rivals):
+        rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
     suspects = [target for e in explanations for target in e.effect.targets]
-    near = sorted(pointing_remedies(network, suspects), key=_effort_rank)
-    again = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
-    late = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
-    total = len(near) + len(again) + N_EVALUATED_PLACES + len(late)
-    judged: list[MeasurementProposal] = []
-    every = chain(near, again, _most_informative_stations(network, seconds_per_move), late)
+    nearby_remedies = sorted(pointing_remedies(network, suspects), key=_effort_rank)
+    repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
+    costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
+    total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
+    proposals: list[MeasurementProposal] = []
+    every = chain(
+        nearby_remedies, repeat_remedies, _most_informative_stations(network, seconds_per_move), costly_remedies
+    )
     for remedy in (candidate for candidate in every if candidate.is_determined):
         longer = residual_space_of(remedy.network.adjustment, extra_effects)
         evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
-        judged.append(MeasurementProposal.from_remedy(remedy, network.adjustment, evidence))
-        progress("weighing the explanations", min(len(judged) / total, 1.0))
-        if stops_at_first and judged[-1].distinguishes_all:
+        proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment, evidence))
+        progress("weighing the explanations", min(len(proposals) / total, 1.0))
+        if stops_at_first and proposals[-1].distinguishes_all:
             break
-    ranked = tuple(sorted(judged, key=lambda p: p.sort_key))
+    ranked_proposals = tuple(sorted(proposals, key=lambda p: p.sort_key))
     return RankedProposals(
-        ranked, (first.effect.name, *rivals), {name: pair.present_evidence for name, pair in rivals.items()}
+        ranked_proposals, (first.effect.name, *rivals), {name: pair.present_evidence for name, pair in rivals.items()}
     )
 
 

@@ -161,11 +161,11 @@ class FloorPlan:
     def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
         """Floor plan from the positions (and directions of azimuth zero) of stations in a set-up."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
-        placed = [i for i, station in setups.items() if station.position_mm is not None]
-        if not placed:
+        station_indices = [i for i, station in setups.items() if station.position_mm is not None]
+        if not station_indices:
             return cls(np.eye(3), np.zeros(3), has_plan=False)
-        here, there = position[placed], np.array([setups[i].position_mm for i in placed]) * MILLIMETRE
-        yaws = [i for i in placed if setups[i].yaw_deg is not None]
+        here, there = position[station_indices], np.array([setups[i].position_mm for i in station_indices]) * MILLIMETRE
+        yaws = [i for i in station_indices if setups[i].yaw_deg is not None]
         if yaws:
             yaw = np.arctan2(rotation[yaws, 1, 0], rotation[yaws, 0, 0])
             turns = np.exp(1j * (np.array([setups[i].yaw_deg for i in yaws]) * DEGREE - yaw))
@@ -181,8 +181,8 @@ class FloorPlan:
 
     def yaw_on_plan(self, rotation: Floats) -> float:
         """Yaw [rad] on the plan of an instrument with rotation (3, 3)."""
-        turned = self.rotation @ rotation
-        return float(np.arctan2(turned[1, 0], turned[0, 0]))
+        plan_rotation = self.rotation @ rotation
+        return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 
 def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = ()) -> Iterator[Remedy]:
@@ -191,33 +191,35 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
     `suspect_targets` are targets that should be measured again.
     """
     recording = network.recording
-    last = int(recording.station[np.argmax(recording.time)])
-    station, here = recording.stations[last], _setup_rows(recording, last)
+    last_index = int(recording.station[np.argmax(recording.time)])
+    station, here = recording.stations[last_index], _setup_rows(recording, last_index)
     order = _targets_in_order(recording.target[here])
-    usual = int(recording.face[here[0]])
+    usual_face = int(recording.face[here[0]])
 
-    def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
+    def remedy(key: str, target: Ints, face: int = usual_face, **values: object) -> Remedy:
         seconds = len(target) * network.seconds_per_pointing
         words = advice_sentence(key, station=station, **values)
-        return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
+        return Remedy("pointings", words, seconds, network.with_pointings(last_index, target, face))
 
     if len(np.unique(recording.face[here])) == 1:
-        yield remedy("other face here", order[::-1], 3 - usual)
+        yield remedy("other face here", order[::-1], 3 - usual_face)
     yield remedy("close here", order[:N_CLOSING_TARGETS], count=min(N_CLOSING_TARGETS, len(order)))
     yield remedy("reverse here", order[::-1])
-    again = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
-    if again:
-        names = list_text([recording.targets[t] for t in again])
+    repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
+    if repeat_targets:
+        names = list_text([recording.targets[t] for t in repeat_targets])
         yield remedy(
             "look again",
-            np.tile(np.array(again, dtype=np.int64), N_SUSPECT_POINTINGS),
+            np.tile(np.array(repeat_targets, dtype=np.int64), N_SUSPECT_POINTINGS),
             targets=names,
             count=N_SUSPECT_POINTINGS,
         )
     yield remedy("to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS)
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
-    away = np.linalg.norm(network.state.target_points[unseen] - network.state.station_positions[last], axis=1)
-    unseen = unseen[away > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
+    distances = np.linalg.norm(
+        network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
+    )
+    unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
@@ -228,8 +230,8 @@ def return_remedies(
     """Remedies with another set-up at each position of an instrument, with rotated base, for the same targets."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
-    for s in chosen if stations is None else stations:
+    indices = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
+    for s in indices if stations is None else stations:
         target = _targets_in_order(recording.target[_setup_rows(recording, s)])
         if len(target):
             words = advice_sentence("turned", station=recording.stations[s], turn=BASE_ROTATION / DEGREE)
@@ -255,10 +257,10 @@ def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterat
     margin = 0.2 * (high - low) + 0.2
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], N_GRID_POSITIONS) for k in range(2))
     places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
-    taken = np.concatenate([state.station_positions, state.target_points])
-    visible = compute_visibility(places, state.target_points, limits).is_visible
-    for position, sights in zip(places, visible, strict=True):
-        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
+    occupied_places = np.concatenate([state.station_positions, state.target_points])
+    is_visible = compute_visibility(places, state.target_points, limits).is_visible
+    for position, sights in zip(places, is_visible, strict=True):
+        if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
             continue
         for turn in range(N_YAWS):
             rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_YAWS)
@@ -274,9 +276,11 @@ def _setup_remedy(
     """Remedy with targets measured from an additional set-up, the last one of a network."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
-    start = float(recording.time.max()) + seconds_per_move
+    start_time = float(recording.time.max()) + seconds_per_move
     seconds = seconds_per_move + len(targets) * network.seconds_per_pointing
-    return Remedy(kind, instruction, seconds, network.with_pointings(len(recording.stations) - 1, targets, face, start))
+    return Remedy(
+        kind, instruction, seconds, network.with_pointings(len(recording.stations) - 1, targets, face, start_time)
+    )
 
 
 def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
@@ -299,12 +303,12 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
 
 def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
     """Target and face of the additional pointings of a visit under another procedure."""
-    made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    existing = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
     if procedure == "other face":
-        return sorted({(t, 3 - f) for t, f in made} - set(made))
+        return sorted({(t, 3 - f) for t, f in existing} - set(existing))
     if procedure == "close":
-        return [(t, made[0][1]) for t in _targets_in_order(recording.target[rows])[:N_CLOSING_TARGETS].tolist()]
-    return made[::-1]
+        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:N_CLOSING_TARGETS].tolist()]
+    return existing[::-1]
 
 
 def second_face_remedy(network: PlannedNetwork) -> Remedy | None:
@@ -319,16 +323,19 @@ def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
-    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
-    i, j = int(first[best]), int(second[best])
+    best_index = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
+    i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
     yield Remedy("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
 
 
 def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
     """Remedies with four reflectors near each of the first two stations, measured from all stations."""
-    both = second_face_remedy(network)
-    for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
+    two_face_remedy = second_face_remedy(network)
+    for key, start in [
+        ("near", network),
+        *([("other face and near", two_face_remedy.network)] if two_face_remedy else []),
+    ]:
         recording, state = start.recording, start.state
         points = np.concatenate(
             [centre + from_polar(NEAR_REFLECTOR_COORDINATES) for centre in state.station_positions[:2]]

@@ -67,8 +67,8 @@ def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Flo
 
     A gain is 1 minus the posterior variance over the prior variance.
     """
-    scaled = covariance / np.outer(prior_sigma, prior_sigma)
-    remaining, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
+    remaining, vectors = np.linalg.eigh(0.5 * (scaled_covariance + scaled_covariance.T))
     return np.clip(1.0 - remaining[::-1], 0.0, 1.0), vectors[:, ::-1]
 
 
@@ -78,10 +78,10 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     `covariance` (p, p) is the posterior covariance.
     """
     gain, vectors = gains_and_combinations(covariance, prior_sigma)
-    silent = gain < MAX_UNINFORMATIVE_GAIN
-    vectors = np.concatenate([rotate_to_simple_structure(vectors[:, silent]), vectors[:, ~silent]], axis=1)
-    scaled = covariance / np.outer(prior_sigma, prior_sigma)
-    gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
+    is_silent = gain < MAX_UNINFORMATIVE_GAIN
+    vectors = np.concatenate([rotate_to_simple_structure(vectors[:, is_silent]), vectors[:, ~is_silent]], axis=1)
+    scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
+    gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled_covariance, vectors)
     gain = np.where(gain < GAIN_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
     return sorted(weak, key=lambda d: (round(d.gain / GAIN_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
@@ -143,13 +143,15 @@ def determining_sentences(
     if not any(directions):
         return [[] for _ in directions]
     network = PlannedNetwork.from_adjustment(adjustment, construction)
-    now = _gains_of_combinations(network, directions)
+    present_gains = _gains_of_combinations(network, directions)
     cheap = [r for r in (second_face_remedy(network), *calibrated_length_remedy(network)) if r]
-    worth = chain(cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network))  # the cheapest first
-    tried = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in worth]
+    candidates = chain(
+        cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network)
+    )  # the cheapest first
+    evaluated = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in candidates]
     return [
         [
-            _determining_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried])
+            _determining_sentence(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
             for k, d in enumerate(combinations)
         ]
         for i, combinations in enumerate(directions)
@@ -179,9 +181,11 @@ def _determining_sentence(
     """
     if present_gain >= MIN_DETERMINED_GAIN > direction.gain:
         return advice_sentence("determined already", then=present_gain)
-    enough = [pair for pair in remedies_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
+    is_sufficient = [pair for pair in remedies_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
     words, then = (
-        enough[0] if enough else max(remedies_with_gains, key=lambda pair: pair[1], default=("", present_gain))
+        is_sufficient[0]
+        if is_sufficient
+        else max(remedies_with_gains, key=lambda pair: pair[1], default=("", present_gain))
     )
     if then - present_gain < MIN_WORTHWHILE_GAIN_INCREASE:
         return advice_sentence("not determined")

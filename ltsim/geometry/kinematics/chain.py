@@ -57,9 +57,9 @@ class ConstantAmount:
 
     value: float
 
-    def __call__(self, raw: Floats) -> Floats:
+    def __call__(self, raw_readings: Floats) -> Floats:
         """The constant amount (n,) for raw readings (n, 3)."""
-        return np.full(len(raw), self.value)
+        return np.full(len(raw_readings), self.value)
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,19 @@ class ReadingAmount:
     column: int
     offset: float = 0.0
 
-    def __call__(self, raw: Floats) -> Floats:
+    def __call__(self, raw_readings: Floats) -> Floats:
         """The selected reading plus `offset`, (n,), of raw readings (n, 3)."""
-        return raw[:, self.column] + self.offset
+        return raw_readings[:, self.column] + self.offset
 
 
-def _motion_amount(motion: ElementaryMotion, raw: Floats, errors: Mapping[str, Floats]) -> Floats | None:
-    amount = None if motion.nominal is None else motion.nominal(raw)
-    error = errors.get(motion.slot)
+def _motion_amount(
+    elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
+) -> Floats | None:
+    amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
+    error = errors.get(elementary_motion.slot)
     if error is not None:
         amount = error if amount is None else amount + error
-    return None if amount is None else motion.sign * amount
+    return None if amount is None else elementary_motion.sign * amount
 
 
 def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
@@ -90,14 +92,14 @@ def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
         v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
 
 
-def point_of_readings(chain: KinematicChain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
+def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
     """Point (n, 3) [m] of raw readings (n, 3).
 
     `errors` gives the error of each slot, as an array (n,) or one number.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # coordinates apart from each other, whose arrays are contiguous
     for motion in reversed(chain):
-        amount = _motion_amount(motion, raw, errors)
+        amount = _motion_amount(motion, raw_readings, errors)
         if amount is None:
             continue
         if isinstance(motion, TranslationStep):
@@ -106,30 +108,30 @@ def point_of_readings(chain: KinematicChain, raw: Floats, errors: Mapping[str, F
         i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
         c, s = np.cos(amount), np.sin(amount)
         p[i], p[j] = c * p[i] - s * p[j], s * p[i] + c * p[j]
-    points = np.empty((len(raw), 3))
+    points = np.empty((len(raw_readings), 3))
     points[:, 0], points[:, 1], points[:, 2] = p
     return points
 
 
 def point_and_derivatives(
-    chain: KinematicChain, raw: Floats, errors: Mapping[str, Floats], slots: set[str]
+    chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Point (n, 3) [m] of raw readings, and its derivative (n, 3) with respect to each slot in `slots`.
+    """Point (n, 3) [m] of raw readings, and its derivative (n, 3) with respect to each slot in `error_slots`.
 
     The computation starts at the target and applies the motions towards the base. Point and derivatives are vectors of
     the current frame: a turn rotates all of them, a shift moves the point alone.
     """
-    p = np.zeros((len(raw), 3))
-    carried, count = np.zeros((len(chain), len(raw), 3)), 0
+    p = np.zeros((len(raw_readings), 3))
+    carried, count = np.zeros((len(chain), len(raw_readings), 3)), 0
     derivatives: dict[str, Floats] = {}
     for motion in reversed(chain):
-        amount = _motion_amount(motion, raw, errors)
+        amount = _motion_amount(motion, raw_readings, errors)
         if isinstance(motion, TranslationStep):
             if amount is not None:
                 p[:, motion.axis] += amount
         elif amount is not None:
             _rotate(motion.axis, amount, p, carried[:count])
-        if motion.slot not in slots:
+        if motion.slot not in error_slots:
             continue
         if motion.slot not in derivatives:
             derivatives[motion.slot] = carried[count]

@@ -33,10 +33,10 @@ from ltsim.geometry.kinematics.chain import (
 )
 
 
-def joint_error_motions(joint: str) -> tuple[ElementaryMotion, ...]:
+def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
     """Error matrix E_Rot of a rotary joint as elementary motions with slots ``J1.dX`` ... ``J1.eZ``."""
-    shifts = tuple(TranslationStep(i, f"{joint}.d{axis}") for i, axis in enumerate("XYZ"))
-    turns = tuple(RotationStep(i, f"{joint}.e{axis}") for i, axis in enumerate("XYZ"))
+    shifts = tuple(TranslationStep(i, f"{joint_name}.d{axis}") for i, axis in enumerate("XYZ"))
+    turns = tuple(RotationStep(i, f"{joint_name}.e{axis}") for i, axis in enumerate("XYZ"))
     return shifts + turns
 
 

@@ -25,7 +25,9 @@ import math
 from ltsim.geometry.kinematics.chain import KinematicChain, ReadingAmount, RotationStep, TranslationStep
 
 ZENITH_ROTATION = -0.5 * math.pi
+"""Rotation [rad] of the mirror's normal between the zenith and the horizontal, added to the elevation."""
 HALF_ANGLE_SIGN = -0.5
+"""Rotation of the mirror per elevation: half of it, because a reflected beam turns twice as far."""
 
 STEERING_MIRROR_CHAIN: KinematicChain = (
     # To the mirror: T.

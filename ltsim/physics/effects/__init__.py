@@ -25,8 +25,8 @@ EFFECT_NAMES_BY_GROUP = {
         "bearing-wobble head-sag backlash detector-offset"
     ),
     "range": (
-        "range-offset range-mode range-step range-scale station-weather dead-path range-cyclic refractivity-drift "
-        "range-drift"
+        "range-offset range-mode range-step reflector-constant range-scale station-weather dead-path range-cyclic "
+        "refractivity-drift range-drift"
     ),
     "air": "air-gradient air-layer heat-plume turbulence",
     "reflector": "smr-centring smr-incidence smr-dihedral window smr-offset nest-lift target-moved",

@@ -31,6 +31,8 @@ class Backlash(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        half = -0.5 * sightings.approach_signs * self.row_weights(sightings)[:, None]
-        columns = [sightings.slot_responses[slot] * half[:, [i]] for i, slot in enumerate(("azimuth", "elevation"))]
+        half_slack = -0.5 * sightings.approach_signs * self.row_weights(sightings)[:, None]
+        columns = [
+            sightings.slot_responses[slot] * half_slack[:, [i]] for i, slot in enumerate(("azimuth", "elevation"))
+        ]
         return np.stack(columns, axis=2)

@@ -109,19 +109,21 @@ def installed_entry_points() -> list[EntryPoint]:
 
 
 class Catalogue(Sequence[type[Effect]]):
-    """Catalogue of all effects: `shipped` ones in their order, then added ones in the order of their names.
+    """Catalogue of all effects: `built_in_effects` ones in their order, then added ones in the order of their names.
 
-    `shipped` are the built-in effects by group; `points` returns the entry points of packages.
+    `built_in_effects` are the built-in effects by group; `points` returns the entry points of packages.
     """
 
     def __init__(
         self,
-        shipped: Mapping[str, tuple[type[Effect], ...]],
+        built_in_effects: Mapping[str, tuple[type[Effect], ...]],
         points: Callable[[], Iterable[EntryPoint]] = installed_entry_points,
     ) -> None:
         self._entry_points = points
         self._builtin_effects = {
-            kind.name: ListedEffect(kind, group, BUILTIN_ORIGIN) for group, kinds in shipped.items() for kind in kinds
+            kind.name: ListedEffect(kind, group, BUILTIN_ORIGIN)
+            for group, kinds in built_in_effects.items()
+            for kind in kinds
         }
 
     @cached_property

@@ -67,9 +67,9 @@ def refractivity(
     share = humidity / 100.0 * enhancement * vapour_pressure(temperature) / pressure
     mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
 
-    def density(t: Floats, p: float, x: Floats) -> Floats:
+    def density(temperature: Floats, pressure: float, x: Floats) -> Floats:
         """Molar density [mol/m^3] at temperature [C], pressure [Pa] and mole fraction of water vapour."""
-        return p / (_compressibility(t, p, x) * GAS_CONSTANT * (t + 273.15))
+        return pressure / (_compressibility(temperature, pressure, x) * GAS_CONSTANT * (temperature + 273.15))
 
     standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
     saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MOLAR_MASS

@@ -47,6 +47,6 @@ class DeadPath(Effect):
     def design(self, sightings: Sightings) -> Floats:
         temperature = sightings.covariates.get(TEMPERATURE_COLUMN, np.full(len(sightings), np.nan))
         ordered = temperature[sightings.measurement_order]
-        measured = ordered[np.isfinite(ordered)]
-        warmer = np.nan_to_num(temperature - (measured[0] if len(measured) else 0.0))
+        is_measured = ordered[np.isfinite(ordered)]
+        warmer = np.nan_to_num(temperature - (is_measured[0] if len(is_measured) else 0.0))
         return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * warmer)[:, :, None]

@@ -5,9 +5,9 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
 
 
-def beam_deviation_basis(raw: Floats) -> Floats:
+def beam_deviation_basis(readings: Floats) -> Floats:
     """Basis with the constant value 0.5: deviation of the beam per offset of the return spot."""
-    return np.full(len(raw), 0.5)
+    return np.full(len(readings), 0.5)
 
 
 class DetectorOffset(SlotEffect):

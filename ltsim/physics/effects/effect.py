@@ -139,9 +139,9 @@ BasisFunction = Callable[[Floats], Floats]
 """Function of the raw readings (n, 3) that multiplies a parameter, with values (n,)."""
 
 
-def constant_basis(raw: Floats) -> Floats:
+def constant_basis(readings: Floats) -> Floats:
     """Constant basis, 1 for every reading."""
-    return np.ones(len(raw))
+    return np.ones(len(readings))
 
 
 @dataclass(frozen=True)
@@ -153,9 +153,9 @@ class HarmonicBasis:
     order: float = 1
     """Multiple of the reading."""
 
-    def __call__(self, raw: Floats) -> Floats:
+    def __call__(self, readings: Floats) -> Floats:
         """Values (n,) of the basis at raw readings (n, 3)."""
-        angle: Floats = self.order * raw[:, self.reading_column]
+        angle: Floats = self.order * readings[:, self.reading_column]
         return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
 
@@ -165,9 +165,9 @@ class RangePowerBasis:
 
     exponent: int = 1
 
-    def __call__(self, raw: Floats) -> Floats:
+    def __call__(self, readings: Floats) -> Floats:
         """Values (n,) of the basis at raw readings (n, 3)."""
-        return raw[:, 0] ** self.exponent
+        return readings[:, 0] ** self.exponent
 
 
 @dataclass(frozen=True)

@@ -95,8 +95,8 @@ class HeatPlume(WarmAirEffect):
         """Plumes with the centre moved along each axis."""
         if self.targets:
             return []
-        moved = [sign * step * axis for step in REFINEMENT_STEPS for axis in np.eye(3) for sign in (1.0, -1.0)]
-        return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in moved]
+        offsets = [sign * step * axis for step in REFINEMENT_STEPS for axis in np.eye(3) for sign in (1.0, -1.0)]
+        return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in offsets]
 
     @property
     def source_position(self) -> tuple[float, ...]:

@@ -26,6 +26,12 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
     return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
 
 
+def linearised_target_change(sightings: Sightings, displacement: Floats, values: Floats) -> Linearisation:
+    """Change of the raw readings by motions (n, 3, p) [m] of each pointing's target per unit of `values` (p,)."""
+    apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
+    return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
+
+
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
     """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
     return replace(
@@ -81,9 +87,7 @@ class TargetMotion(Effect):
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
     def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
-        displacement = self.displacement(sightings)
-        apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
-        return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
+        return linearised_target_change(sightings, self.displacement(sightings), values)
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,8 @@ class NestLift(TargetMotion):
         pairs = station_target_pairs(sightings)
         if len(pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
             return []
-        oriented = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
-        nests = {sightings.target_names[t] for t in oriented}
+        oriented_indices = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
+        nests = {sightings.target_names[t] for t in oriented_indices}
         along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
 

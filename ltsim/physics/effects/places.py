@@ -31,11 +31,13 @@ def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[f
 
 def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
     """Candidate change points within the visits of stations: pairs (station, time [s])."""
-    most = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
+    max_times = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
-        for time in change_times(sightings.time[sightings.station == s], min_pointings=min_pointings, max_times=most)
+        for time in change_times(
+            sightings.time[sightings.station == s], min_pointings=min_pointings, max_times=max_times
+        )
     ]
 
 
@@ -45,8 +47,8 @@ def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> 
     times, stations = sightings.time[rows], sightings.station[rows]
     if len(np.unique(stations)) < 2:
         return change_times(times, min_pointings=2, max_times=max_times)
-    moved = np.flatnonzero(np.diff(stations))
-    middles = 0.5 * (times[moved] + times[moved + 1])
+    change_rows = np.flatnonzero(np.diff(stations))
+    middles = 0.5 * (times[change_rows] + times[change_rows + 1])
     if len(middles) > max_times:
         middles = middles[np.linspace(0, len(middles) - 1, max_times).round().astype(int)]
     return [float(t) for t in np.unique(middles)]
@@ -55,9 +57,9 @@ def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> 
 def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
     """Midpoints [s] of the `N_NEIGHBOUR_GAPS` gaps between pointings at `times` on either side of `time`."""
     ordered = np.unique(times)
-    middle = 0.5 * (ordered[1:] + ordered[:-1])
-    at = int(np.searchsorted(middle, time))
-    return [float(t) for t in middle[max(at - N_NEIGHBOUR_GAPS, 0) : at + N_NEIGHBOUR_GAPS + 1]]
+    midpoints = 0.5 * (ordered[1:] + ordered[:-1])
+    index = int(np.searchsorted(midpoints, time))
+    return [float(t) for t in midpoints[max(index - N_NEIGHBOUR_GAPS, 0) : index + N_NEIGHBOUR_GAPS + 1]]
 
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
@@ -112,8 +114,8 @@ class Drift(Effect):
     """True if the law within a visit is also a candidate at single stations."""
 
     def __post_init__(self) -> None:
-        chosen = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
-        object.__setattr__(self, "parameters", (chosen,))
+        amplitude_names = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
+        object.__setattr__(self, "parameters", (amplitude_names,))
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -15,7 +15,7 @@ class RangeStep(Effect):
     Delta_d = rho from a time on, until the station is left.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
-    Like: station-weather (0.965, where the step is at the station's start), a station-bump along the beams.
+    Like: reflector-constant (exact) and station-weather (0.965) from the station's start on; station-bump.
     Separate by: near and far targets at that station; a target measured before and after.
     Valid: one step a station; the next station starts with a new zero of its own.
     Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own

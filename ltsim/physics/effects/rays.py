@@ -55,8 +55,8 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     beam, across, up = (way[rows] for way in sightings.beam_vectors)
     length = sightings.range_[rows]
     share = 0.5 * (1.0 + QUADRATURE_NODES)
-    start = sightings.station_positions[sightings.station[rows]]
-    points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
+    origins = sightings.station_positions[sightings.station[rows]]
+    points = origins[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
     beta = relative_index_change_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS
@@ -100,7 +100,7 @@ def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Float
 
 
 def _trace_rays(
-    start: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
+    origins: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3), end directions (n, 3) and integrals (n,) of n - 1 along rays of given arc length."""
     law, slope = _refractivity_by_temperature()
@@ -112,7 +112,7 @@ def _trace_rays(
         turn = (steep - np.sum(steep * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[:, None]
         return turn, above
 
-    place, heading, optical = start.copy(), direction.copy(), np.zeros(len(start))
+    place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
     h = length / steps
     hv = h[:, None]
     for _ in range(steps):

@@ -95,9 +95,9 @@ class ShapeParameter:
             return value, value
         i = int(np.clip(np.searchsorted(grid, value), 1, len(grid) - 1))
         below, above = float(grid[i - 1]), float(grid[i])
-        low = value * below / above if self.has_logarithmic_grid else value - (above - below)
-        high = value * above / below if self.has_logarithmic_grid else value + (above - below)
-        return max(low, min(self.lower_bound, value)), min(high, max(self.upper_bound, value))
+        lower = value * below / above if self.has_logarithmic_grid else value - (above - below)
+        upper = value * above / below if self.has_logarithmic_grid else value + (above - below)
+        return max(lower, min(self.lower_bound, value)), min(upper, max(self.upper_bound, value))
 
 
 class Linearisation(NamedTuple):

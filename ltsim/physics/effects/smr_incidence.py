@@ -11,6 +11,7 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, desi
 from ltsim.scene.sightings import Sightings
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
+"""Incidence angles [rad] at which the paper's table gives the range error (its fig. 9)."""
 MAX_INCIDENCE = 30.0 * DEGREE
 """Largest incidence angle [rad] of the table."""
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
@@ -32,6 +33,7 @@ _PART_DESCRIPTIONS = (
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
+"""Direction of incidence to which each of `AZIMUTHAL_PARTS` responds, as text."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
@@ -118,9 +120,9 @@ class SmrIncidence(Effect):
         """Parameters (14,) [m] that correspond to the table; they are corrections like all parameters."""
         if not self.table:
             return np.zeros(len(self.parameters))
-        middle = len(TABLE_ANGLES) // 2
-        upper = np.array(self.table[middle + 1 :]) - self.table[middle]
-        lower = np.array(self.table[:middle][::-1]) - self.table[middle]
+        middle_index = len(TABLE_ANGLES) // 2
+        upper = np.array(self.table[middle_index + 1 :]) - self.table[middle_index]
+        lower = np.array(self.table[:middle_index][::-1]) - self.table[middle_index]
         at_knots = _ramp_values(np.append(KNOT_ANGLES[1:], MAX_INCIDENCE))
         even, odd = np.linalg.solve(at_knots, 0.5 * np.stack([upper + lower, upper - lower], axis=1)).T
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)

@@ -12,7 +12,7 @@ class StationWeather(Effect):
 
     Size: 1 K is 0.95 ppm, a slip of 10 hPa 2.7 ppm, mmHg for hPa (250 hPa) 67 ppm.
     Like: mesh-expansion between stations (exact), range-step at the station's start (0.965).
-    Separate by: a log of the structure's temperature; the first station again at the end.
+    Separate by: the weather values used at that station; the first station again at the end.
     Valid: one constant index a visit.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
     Status: validated against the range scale on the station's rows.

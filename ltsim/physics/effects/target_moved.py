@@ -71,5 +71,7 @@ class TargetMoved(TargetMotion):
         )
 
     def displacement(self, sightings: Sightings) -> Floats:
-        made = sightings.time >= self.time if self.kind == "step" else sightings.time - first_pointing_time(sightings)
-        return (self.row_weights(sightings) * made)[:, None, None] * np.eye(3)
+        fraction = (
+            sightings.time >= self.time if self.kind == "step" else sightings.time - first_pointing_time(sightings)
+        )
+        return (self.row_weights(sightings) * fraction)[:, None, None] * np.eye(3)

@@ -65,8 +65,12 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     ('S3',)
     """
     places = dict(zip(PLACE_FIELDS, (name_tuple(stations), name_tuple(targets)), strict=True))
-    given = {key.replace("_", "-"): key for key in constants}
-    sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
+    name_by_key = {key.replace("_", "-"): key for key in constants}
+    sized = {
+        p.name: name_by_key[key]
+        for p in find_effect(name).parameters
+        if (key := p.name.replace("_", "-")) in name_by_key
+    }
     sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
     effect = make_effect(name, places, constants)
     return SizedEffect(effect, sizes) if sizes else effect
@@ -164,13 +168,13 @@ class EffectList(Result):
         }
 
     def _parameters_table(self) -> ColumnValues:
-        listed = [(e, p) for e in self.effect_classes for p in e.parameters]
+        rows = [(e, p) for e in self.effect_classes for p in e.parameters]
         return {
-            "effect": [e.name for e, _ in listed],
-            "parameter": [p.name for _, p in listed],
-            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in listed],
-            "unit": [p.unit for _, p in listed],
-            "meaning": [p.description for _, p in listed],
+            "effect": [e.name for e, _ in rows],
+            "parameter": [p.name for _, p in rows],
+            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in rows],
+            "unit": [p.unit for _, p in rows],
+            "meaning": [p.description for _, p in rows],
         }
 
 

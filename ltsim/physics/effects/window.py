@@ -86,8 +86,8 @@ class Window(TargetMotion):
             if at_edge:
                 windows += self._perpendicular_pane(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.pane_normal
-        turned = [np.arctan2(y, x) + angle for angle in PANE_ROTATIONS]
-        return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
+        angles = [np.arctan2(y, x) + angle for angle in PANE_ROTATIONS]
+        return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in angles]
 
     def displacement(self, sightings: Sightings) -> Floats:
         beam = sightings.beam_vectors[0]

@@ -89,8 +89,8 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
     if name in CIRCULAR_COVARIATES:
         return fourier_columns(covariate, (n_modes + 1) // 2)
     low, high = float(covariate.min()), float(covariate.max())
-    half = max(0.5 * (high - low), 1e-300)
-    u = (covariate - 0.5 * (low + high)) / half
+    half_range = max(0.5 * (high - low), 1e-300)
+    u = (covariate - 0.5 * (low + high)) / half_range
     waves = _unit_phasors(0.5 * np.pi * (u + BASIS_HALF_WIDTH) / BASIS_HALF_WIDTH, n_modes).imag / np.sqrt(
         BASIS_HALF_WIDTH
     )
@@ -179,8 +179,8 @@ def lagged_values(x: Floats, sightings: Sightings, memory: float) -> Floats:
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
     """Mean (n, k) of columns (n, k) over the pointings with the same group number (n,)."""
-    at = indicator_columns(groups, np.unique(groups)) > 0
-    means: Floats = at @ ((at.T @ columns) / at.sum(axis=0)[:, None])
+    is_member = indicator_columns(groups, np.unique(groups)) > 0
+    means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
     return means
 
 

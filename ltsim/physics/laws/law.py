@@ -114,8 +114,8 @@ class EmpiricalLaw(CandidateEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
-        moved = self.change_along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
-        design: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
+        derivatives = self.change_along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
+        design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
     def change_along_direction(
@@ -147,8 +147,10 @@ class EmpiricalLaw(CandidateEffect):
         columns = columns * self.row_weights(sightings)[:, None]
         if not self.is_per_setup or self.direction:
             return columns
-        at = indicator_columns(sightings.station, [sightings.station_names.index(name) for name in self.stations])
-        return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
+        is_at_setup = indicator_columns(
+            sightings.station, [sightings.station_names.index(name) for name in self.stations]
+        )
+        return (is_at_setup[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
     def depends_on_fixed_region(self) -> bool:
@@ -204,9 +206,9 @@ class EmpiricalLaw(CandidateEffect):
         """Laws with one threshold of the latch moved."""
         driver = self.regressor
         steps = np.ptp(sightings.quantities[driver.covariates[0]]) * LATCH_THRESHOLD_STEPS
-        moved = [replace(driver, constant=driver.constant + float(step)) for step in steps]
-        moved += [replace(driver, latch_release=driver.latch_release + float(step)) for step in steps]
-        return [replace(self, regressor=d) for d in moved if d.latch_release < d.constant]
+        neighbours = [replace(driver, constant=driver.constant + float(step)) for step in steps]
+        neighbours += [replace(driver, latch_release=driver.latch_release + float(step)) for step in steps]
+        return [replace(self, regressor=d) for d in neighbours if d.latch_release < d.constant]
 
     @property
     def _movable_steps(self) -> Regressor | None:
@@ -248,7 +250,7 @@ class EmpiricalLaw(CandidateEffect):
         if self.regressor.kind != "product":
             return []
         options = [
-            list(short_regressors(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            list(short_regressors(sightings, f.covariates[0], reduced=True)) if f.kind == "smooth" else [f]
             for f in self.regressor.factors
         ]
         products = [Regressor("product", factors=factors) for factors in product(*options)]

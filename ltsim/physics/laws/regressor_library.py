@@ -40,6 +40,7 @@ BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearin
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
+"""Covariates with few values, such as the face, which a law uses as they are."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")
@@ -306,10 +307,10 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def visits(sightings: Sightings, least: int) -> list[Regressor]:
-    """Regressor with a separate amount for each set-up; none for fewer than `least`, and for many."""
+def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
+    """Regressor with a separate amount for each set-up; none for fewer than `min_setups`, and for many."""
     count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if least <= count <= MAX_SEPARATE_SETUPS else []
+    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
@@ -380,9 +381,9 @@ def wave_regressors(
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
     """Waves in some quantities; each of the parts `n_parts` gets an equal fraction of the pointings."""
-    most = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
+    max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
-        for rate in wave_rates(sightings, name, most):
+        for rate in wave_rates(sightings, name, max_waves):
             yield Regressor("wave", (name,), constant=float(rate))
 
 

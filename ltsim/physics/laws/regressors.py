@@ -139,12 +139,12 @@ class Regressor:
 
     def _is_at_reference(self, sightings: Sightings) -> Bools:
         """Flags (n,) of the pointings at which moving objects have their reference coordinates."""
-        every = np.ones(len(sightings), dtype=bool)
+        full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
             return np.asarray(sightings.time == sightings.time.min())
-        x = np.abs(sightings.covariates.get(name, every))
-        return x == np.nanmin(x) if has_natural_zero(x) else every
+        x = np.abs(sightings.covariates.get(name, full_mask))
+        return x == np.nanmin(x) if has_natural_zero(x) else full_mask
 
     def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
         name = "".join(self.covariates[:1])
@@ -196,11 +196,11 @@ class Regressor:
             return sightings.station, np.unique(sightings.station)
         if self.covariates == ("instrument",):
             return sightings.instrument, np.unique(sightings.instrument)
-        every = np.arange(len(sightings.target_names))
+        all_targets = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
-            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), every
+            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), all_targets
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
-        return sightings.target, np.array(ids) if ids else every
+        return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
         product = np.ones((len(sightings), 1))

@@ -223,6 +223,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
 RESPONSES_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each component."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
+"""Names of the responses that exist only where the directions of the nests are declared."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:

@@ -17,18 +17,18 @@ SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as fractions of a covariate's span."""
 
 
-def short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
-    """Short regressors in a covariate; fewer (`few`) if several covariates are tried together."""
+def short_regressors(sightings: Sightings, name: str, *, reduced: bool = False) -> Iterator[Regressor]:
+    """Short regressors in a covariate; fewer (`reduced`) if several covariates are tried together."""
     times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR_COVARIATES
     if circular:
-        for order in range(1, 4 if few else 7):
+        for order in range(1, 4 if reduced else 7):
             yield Regressor("wave", (name,), constant=float(order))
-    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
-    if name in ANGULAR_COVARIATES and not (circular and few):
+    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and reduced else [("power", (1.0, 2.0))]
+    if name in ANGULAR_COVARIATES and not (circular and reduced):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     tried += [("decay", times)] if name == "lapse" else []
-    if not few:
+    if not reduced:
         tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
         tried += [("decay", times)] if name in CLOCK_COVARIATES else []

@@ -43,8 +43,8 @@ def displayed_sizes(
         amplitude = _displayed_size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
         return amplitude, DisplayedSize("phase", phase, min(turn, 180.0), "deg")
     columns = law.columns(sightings)[law.row_weights(sightings) > 0]
-    each = columns @ means.T
-    values = each @ way
+    amounts = columns @ means.T
+    values = amounts @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     swings = (
         _displayed_size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
@@ -52,8 +52,8 @@ def displayed_sizes(
     )
     if law.response.component_units:  # components of several units have no common rms
         return tuple(swings)
-    rms = float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
-    slope = np.einsum("nc,nk->ck", each, columns) / max(rms * len(each), 1e-300)
+    rms = float(np.sqrt(np.mean(np.sum(amounts**2, axis=1))))
+    slope = np.einsum("nc,nk->ck", amounts, columns) / max(rms * len(amounts), 1e-300)
     felt = _displayed_size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
     return felt, *swings
 

@@ -59,8 +59,8 @@ def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateK
         if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
     ]
     _cache_states(sightings, states)
-    least = {name: MIN_RELATIVE_STATE_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
-    return [key for key in states if np.ptp(sightings.derived_cache[key]) > least[key[0]]]
+    min_spans = {name: MIN_RELATIVE_STATE_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    return [key for key in states if np.ptp(sightings.derived_cache[key]) > min_spans[key[0]]]
 
 
 def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
@@ -99,9 +99,9 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     event = np.where(
         first & np.isnan(event), (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64), event
     )
-    last = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
+    last_events = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
     values = np.empty(len(rows))
-    values[rows] = event[last]
+    values[rows] = event[last_events]
     return values - values.mean()
 
 

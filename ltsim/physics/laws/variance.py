@@ -144,8 +144,8 @@ class VarianceFunction(NoiseSignature):
                 inside |= (x >= low) & (x <= high)
         return inside
 
-    def _variance_plus_fraction(self, sigma: Floats, added: Floats) -> Floats:
+    def _variance_plus_fraction(self, sigma: Floats, added_variance: Floats) -> Floats:
         """Variance (n, 3) with an added fraction (n,) in its observables."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
-        grown: Floats = sigma**2 * (1.0 + added[:, None] * np.array(acts))
+        grown: Floats = sigma**2 * (1.0 + added_variance[:, None] * np.array(acts))
         return grown

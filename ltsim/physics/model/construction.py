@@ -95,11 +95,11 @@ class Construction:
             chain[place] = replace(motion, slot=slots[-1])
         return tuple(chain), tuple(slots)
 
-    def basis_values(self, raw: Floats) -> Floats:
+    def basis_values(self, readings: Floats) -> Floats:
         """Value (n, p) of each parameter's basis at raw readings (n, 3)."""
-        bases = np.ones((len(self.terms), len(raw)))
+        bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
-            bases[k] = term.basis(raw)
+            bases[k] = term.basis(readings)
         return bases.T
 
     @cached_property
@@ -107,11 +107,11 @@ class Construction:
         """Terms whose basis is not constant, with their indices."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def slot_errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
+    def slot_errors(self, readings: Floats, values: Floats) -> dict[str, Floats]:
         """Error (n,), or a common number, of each slot; `values` (p,), or (n, p) with a row per pointing [SI]."""
         amounts: dict[str, Floats] = {}
         for term, value in zip(self.terms, values.T, strict=True):
-            amount = value if term.basis is constant_basis else term.basis(raw) * value
+            amount = value if term.basis is constant_basis else term.basis(readings) * value
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
@@ -121,22 +121,22 @@ class Construction:
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
-    def point(self, raw: Floats, values: Floats) -> Floats:
+    def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return point_of_readings(self.kinematic_chain, raw, self.slot_errors(raw, values))
+        return point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
-    def linearise(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
 
         The derivative with respect to the readings neglects that the bases depend on them (relative 1e-5, the size of
         the errors); Newton's and Gauss-Newton iterations correct for that.
         """
-        (chain, driven), bases = self._chain_with_reading_slots, self.basis_values(raw)
+        (chain, driven), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(driven)
-        p, by_slot = point_and_derivatives(chain, raw, self._slot_amounts(bases, values), slots)
+        p, by_slot = point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
         if not self.terms:
-            return p, by_reading, np.zeros((len(raw), 3, 0))
+            return p, by_reading, np.zeros((len(readings), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
@@ -176,9 +176,9 @@ class Construction:
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw, by_point, -by_point @ by_value
 
-    def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
+    def reading_design(self, readings: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings with respect to the local point (n, 3, 3) and to the parameters (n, 3, p)."""
-        _, by_reading, by_value = self.linearise(raw, values)
+        _, by_reading, by_value = self.linearise(readings, values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 

@@ -114,12 +114,12 @@ def incidence_prior_from_bench_test(test: BenchTest | None) -> tuple[Floats, Flo
     if test is None:
         return mean, root
     angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))
-    middle = int(np.argmin(np.abs(angle)))
+    middle_index = int(np.argmin(np.abs(angle)))
     positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
     terms = -SmrIncidence.error_derivatives(np.abs(angle) * DEGREE, positive)
-    used = np.arange(len(angle)) != middle
-    spread = np.maximum(sigma[used, None] * MICROMETRE, MIN_BENCH_SIGMA)
-    sensitivity = (terms - terms[middle])[used] @ root / spread
-    whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
+    is_used = np.arange(len(angle)) != middle_index
+    spread = np.maximum(sigma[is_used, None] * MICROMETRE, MIN_BENCH_SIGMA)
+    sensitivity = (terms - terms[middle_index])[is_used] @ root / spread
+    whitened = ((error - error[middle_index]) * MICROMETRE)[is_used] / spread[:, 0]
     contraction = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + sensitivity.T @ sensitivity))
     return root @ (contraction.T @ (contraction @ (sensitivity.T @ whitened))), root @ contraction.T

@@ -1,9 +1,8 @@
 """Forward model: scene, construction and effects give predicted readings and their derivatives."""
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
@@ -12,57 +11,23 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
 from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z, smallest_rotation
+from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
-from ltsim.physics.model.nuisances import HeadHeights, head_heights, read_shared_errors, refraction_unknown
+from ltsim.physics.model.nuisances import (
+    CentringErrors,
+    HeadHeights,
+    centring_errors,
+    head_heights,
+    read_shared_errors,
+    refraction_unknown,
+)
+from ltsim.physics.model.state import NetworkState as NetworkState, Prediction as Prediction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
-
-
-@dataclass(frozen=True)
-class NetworkState:
-    """State of a network: all poses, targets and parameters that an adjustment estimates; SI, network frame."""
-
-    station_positions: Floats
-    """Positions of the instruments, (S, 3)."""
-    station_rotations: Floats
-    """Instrument frame to network frame, (S, 3, 3)."""
-    target_points: Floats
-    """Coordinates of the targets, (T, 3)."""
-    instrument_parameters: Floats
-    """Construction parameters of each instrument, (I, p)."""
-    extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """Parameters of the additional effects, (q,)."""
-
-    def with_increments(
-        self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
-    ) -> Self:
-        """State after increments; `pose_increments` (S, 6) is translation and rotation vector in the network frame."""
-        return type(self)(
-            self.station_positions + pose_increments[:, :3],
-            from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
-            self.target_points + point_increments,
-            self.instrument_parameters + instrument_increments,
-            self.extra_parameters + extra_increments,
-        )
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted raw readings (n, 3) and their derivatives.
-
-    The derivatives are by_pose (n, 3, 6), by_target (n, 3, 3), by_instrument (n, 3, p) and by_extra (n, 3, q).
-    """
-
-    readings: Floats
-    pose_derivatives: Floats
-    target_derivatives: Floats
-    instrument_derivatives: Floats
-    extra_derivatives: Floats
 
 
 def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
@@ -171,22 +136,35 @@ class MeasurementModel:
     def incidence_columns(self) -> tuple[slice, ...]:
         """Slices of the additional parameters (q,) that belong to each of `incidence_errors`."""
         first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
-        ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
-        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
+        boundaries = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
-    def incidence_parameters_by_reflector(self, extra: Floats) -> dict[str, Floats]:
+    def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
         columns = zip(self.incidence_errors, self.incidence_columns, strict=True)
-        return {error.reflector: error.smr_incidence_parameters(extra[at]) for error, at in columns}
+        return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
+
+    @cached_property
+    def centring_errors(self) -> tuple[CentringErrors, ...]:
+        """Centring errors of the targets that the set-up declares; the last nuisance errors."""
+        return centring_errors(self.recording)
+
+    @property
+    def centring_columns(self) -> tuple[slice, ...]:
+        """Slices of the additional parameters (q,) that belong to each of `centring_errors`."""
+        sizes = [len(errors.parameters) for errors in self.centring_errors]
+        boundaries = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
     def nuisance_errors(self) -> tuple[Signature, ...]:
-        """Nuisance errors with a prior: heights of heads, reflectors, errors shared by readings, refraction."""
+        """Nuisance errors with a prior: heights of heads, reflectors, shared errors, refraction, centring."""
         return (
             *self.head_heights,
             *self.incidence_errors,
             *read_shared_errors(self.recording),
             *refraction_unknown(self.recording),
+            *self.centring_errors,
         )
 
     @property
@@ -227,10 +205,10 @@ class MeasurementModel:
         geometry = self.geometry(state)
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
-    def _with_effect_data(self, geometry: Sightings, state: NetworkState, raw: Floats) -> Sightings:
+    def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
         """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
-        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=raw)
+        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
         return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
@@ -247,41 +225,43 @@ class MeasurementModel:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
-    def extra_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters at values (q,)."""
-        return self._signatures_change(self.extra_effects, sightings, extra)
+        return self._signatures_change(self.extra_effects, sightings, parameters)
 
-    def effects_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
-        return self._signatures_change(self.effects, sightings, extra)
+        return self._signatures_change(self.effects, sightings, parameters)
 
-    def incidence_change(self, sightings: Sightings, extra: Floats) -> Floats:
+    def incidence_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
-        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(extra))
+        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
-    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
+    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the given signatures, which are the first of the additional ones."""
         change = np.zeros((len(sightings), 3))
-        for signature, values in zip(signatures, self._values_by_effect(extra), strict=False):
+        for signature, values in zip(signatures, self._values_by_effect(parameters), strict=False):
             change += signature.reading_change(sightings, values)
         return change
 
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
-        raw = self._instrument_readings(sightings, state)
+        raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
-            sightings = self._with_effect_data(sightings, state, raw)
-            raw = raw + self.extra_change(sightings, state.extra_parameters)
+            sightings = self._with_effect_data(sightings, state, raw_readings)
+            raw_readings = raw_readings + self.extra_change(sightings, state.extra_parameters)
         if self._horizontal_distance_flags is not None:
-            raw[self._horizontal_distance_flags, 0] *= np.abs(np.cos(raw[self._horizontal_distance_flags, 2]))
-        return raw
+            raw_readings[self._horizontal_distance_flags, 0] *= np.abs(
+                np.cos(raw_readings[self._horizontal_distance_flags, 2])
+            )
+        return raw_readings
 
-    def _values_by_effect(self, extra: Floats) -> list[Floats]:
+    def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Values of each additional effect; 0 for those that a state does not hold."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
-        whole = np.pad(extra, (0, sum(sizes) - len(extra)))
-        return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
+        all_values = np.pad(parameters, (0, sum(sizes) - len(parameters)))
+        return np.split(all_values, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
@@ -308,19 +288,19 @@ class MeasurementModel:
         return Prediction(raw, *derivatives)
 
 
-def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
+def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to the horizontal, in place.
 
     `is_horizontal` (n,) marks the rows of the readings (n, 3) to reduce.
     """
-    range_, level = raw[is_horizontal, 0], raw[is_horizontal, 2]
+    range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
     for by in derivatives:
         by[is_horizontal, 0] = (sign * cosine)[:, None] * by[is_horizontal, 0] - (sign * range_ * np.sin(level))[
             :, None
         ] * by[is_horizontal, 2]
-    raw[is_horizontal, 0] = range_ * np.abs(cosine)
+    readings[is_horizontal, 0] = range_ * np.abs(cosine)
 
 
 MAX_AXIS_SPREAD = 5 * DEGREE
@@ -335,8 +315,8 @@ def has_plan(recording: Recording) -> bool:
     """True if the set-up determines the rotation from floor plan to network frame (`plan_rotation`)."""
     stations = [recording.station_setup(name) for name in recording.stations]
     has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
-    placed = sum(station.position_mm is not None for station in stations)
-    return has_control or placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
+    n_placed = sum(station.position_mm is not None for station in stations)
+    return has_control or n_placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:

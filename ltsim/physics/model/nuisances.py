@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
-from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
+from ltsim.physics.effects.motions import exact_target_change, linearised_target_change
+from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_displacements
+from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
     OBSERVABLES,
     OCCUPATION_COLUMNS,
@@ -71,6 +73,58 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
     rows = np.eye(len(number_of) + 1, len(number_of))
     at, to = (rows[[number_of.get(key, len(number_of)) for key in end]] for end in ends)
     return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
+
+
+@dataclass(frozen=True)
+class CentringErrors(Signature):
+    """Displacements of reflectors from their targets, three components for each occupation of a target."""
+
+    sigma: float
+    """Standard deviation [m] of each component."""
+    occupation: Ints
+    """Index of the occupation of each pointing, (n,); -1 for pointings without a displacement."""
+
+    @property
+    def name(self) -> str:
+        """Name of the law."""
+        return "centring-errors"
+
+    @property
+    def n_occupations(self) -> int:
+        """Number of occupations."""
+        return int(self.occupation.max(initial=-1)) + 1
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Components of the displacements, along the axes of the network; `prior_sigma` is the standard deviation."""
+        return (Parameter("centring-error", "mm", "centring of a reflector", self.sigma),) * (3 * self.n_occupations)
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, q) [m] of each pointing's reflector per unit of each component."""
+        displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
+        rows = np.flatnonzero(self.occupation >= 0)
+        displacements[rows, :, self.occupation[rows]] = np.eye(3)
+        return displacements.reshape(len(sightings), 3, -1)
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, q) of the raw readings per unit of each component."""
+        return design_from_displacements(sightings, self.displacement(sightings))
+
+    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+        """Exact change (n, 3) of the raw readings by displacements (q,)."""
+        return exact_target_change(sightings, self.displacement(sightings) @ values)
+
+    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+        """Change of the readings at displacements (q,), with its derivatives."""
+        return linearised_target_change(sightings, self.displacement(sightings), values)
+
+
+def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
+    """Centring errors that the set-up of a recording declares, in its order."""
+    return tuple(
+        CentringErrors(centring.sigma_mm * MILLIMETRE, target_occupations(recording, centring))
+        for centring in recording.setup.centring
+    )
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x",
 """Coordinates that are fixed, by the keyword of a point."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
+"""Keywords of LGC for declared rotations of an instrument, which are not read."""
 OPTIONS_WITH_VALUE = (
     "OBSE",
     "PPM",
@@ -41,6 +42,7 @@ OPTIONS_WITH_VALUE = (
     "IHSE",
     "ICSE",
 )
+"""Options of LGC that are followed by a value; others are flags."""
 
 
 @dataclass(frozen=True)
@@ -50,21 +52,21 @@ class LineWords:
     tokens: Sequence[str]
     location: SourceLocation
 
-    def first_words(self, count: int, message: str) -> Sequence[str]:
-        """The first `count` words; raises RecordError if there are fewer."""
-        if len(self.tokens) < count:
+    def first_words(self, n_words: int, message: str) -> Sequence[str]:
+        """The first `n_words` words; raises RecordError if there are fewer."""
+        if len(self.tokens) < n_words:
             raise self.location.error(message)
-        return self.tokens[:count]
+        return self.tokens[:n_words]
 
-    def numbers(self, start: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers from word `start` on; raises RecordError."""
-        words = zip(self.tokens[start : start + len(columns)], columns, strict=True)
+    def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
+        """Numbers from word `first_word` on; raises RecordError."""
+        words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.number(word, column, limit=limit) for word, column in words]
 
-    def options(self, start: int) -> LineOptions:
-        """Options from word `start` on: flags, and names followed by a value."""
+    def options(self, first_word: int) -> LineOptions:
+        """Options from word `first_word` on: flags, and names followed by a value."""
         values: dict[str, str] = {}
-        rest = iter(self.tokens[start:])
+        rest = iter(self.tokens[first_word:])
         for word in map(str.upper, rest):
             value = next(rest, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
@@ -159,30 +161,32 @@ def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
     return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
-def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocation) -> None:
-    turned = next((word for word in words if word in ROTATION_KEYWORDS), None)
-    if turned is not None:
-        raise where.error(f"{turned}: standard deviations in rotated axes are not read; give APRICOV")
-    if "APRICOV" in words:
+def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
+    rotation_word = next((word for word in sigma_words if word in ROTATION_KEYWORDS), None)
+    if rotation_word is not None:
+        raise location.error(f"{rotation_word}: standard deviations in rotated axes are not read; give APRICOV")
+    if "APRICOV" in sigma_words:
         point.add_observation(
-            point.declared_point, _parse_matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where)
+            point.declared_point, _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location)
         )
         return
-    declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMA_OPTIONS}
-    sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMA_OPTIONS])
-    if declared:
+    word_after = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
+    sigma = np.array(
+        [location.number(word_after[s], s) * MILLIMETRE if s in word_after else np.nan for s in SIGMA_OPTIONS]
+    )
+    if word_after:
         point.add_observation(point.declared_point, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
-def _parse_matrix(word: str, where: SourceLocation) -> Floats:
+def _parse_matrix(word: str, location: SourceLocation) -> Floats:
     """Covariance (3, 3) [m^2] written as `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
-    values = [where.number(v, "APRICOV") for v in match[2].split(",")] if match else []
+    values = [location.number(v, "APRICOV") for v in match[2].split(",")] if match else []
     if match and len(values) == (3 if match[1] == "DIAG" else 9):
         matrix = np.diag(values) if match[1] == "DIAG" else np.array(values).reshape(3, 3)
         if np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(matrix)[0] > 0:
             return matrix
-    raise where.error("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")
+    raise location.error("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")
 
 
 @dataclass(frozen=True)
@@ -233,8 +237,8 @@ class PolarInstrument:
 
     def instrument(self, name: str) -> Instrument:
         """Instrument of the set-up; a name such as AT402.392506 contains model and serial number."""
-        parts = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
-        model, serial = parts.groups() if parts else (None, None)
+        match = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
+        model, serial = match.groups() if match else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:

@@ -133,7 +133,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _lines(file: _File) -> Iterator[LineWords]:
     """Words of every line that is not empty; comments after % and $ are dropped."""
-    for i, line in enumerate(read_lines(file.path, liberal=True)):
+    for i, line in enumerate(read_lines(file.path, replaces_undecodable=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
@@ -141,42 +141,42 @@ def _lines(file: _File) -> Iterator[LineWords]:
             yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
-def _begin_block(keyword: str, rest: LineWords, file: _File) -> None:
+def _begin_block(keyword: str, words: LineWords, file: _File) -> None:
     if keyword in CURVED_KEYWORDS:
         file.curved = keyword
     elif keyword == "POLAR":
-        name, default, _ = rest.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        file.polar[rest.location.name(name, "instrument")] = PolarInstrument(default, rest.numbers(2, "height")[0])
+        name, default, _ = words.first_words(3, "*POLAR needs an instrument, its default target and a height")
+        file.polar[words.location.name(name, "instrument")] = PolarInstrument(default, words.numbers(2, "height")[0])
     elif keyword == "TSTN":
-        _begin_setup(rest, file)
+        _begin_setup(words, file)
     elif keyword == "V0":
-        _begin_set(rest, file)
+        _begin_set(words, file)
     elif keyword not in (*OPTION_KEYWORDS, *FIXED_AXES, *OBSERVATION_KEYWORDS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
-def _begin_setup(rest: LineWords, file: _File) -> None:
-    instrument = "".join(rest.tokens[1:2])
+def _begin_setup(words: LineWords, file: _File) -> None:
+    instrument = "".join(words.tokens[1:2])
     if instrument not in file.polar:
         given = quoted_text(instrument) or "nothing"
-        raise rest.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
-    point = rest.location.name(rest.tokens[0], "station")
+        raise words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
+    point = words.location.name(words.tokens[0], "station")
     if point not in file.points:
-        raise rest.location.error(f"the set-up is on {point}, which no block of points declares")
-    options, polar = rest.options(2), file.polar[instrument]
+        raise words.location.error(f"the set-up is on {point}, which no block of points declares")
+    options, polar = words.options(2), file.polar[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
     file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_set(rest: LineWords, file: _File) -> None:
+def _begin_set(words: LineWords, file: _File) -> None:
     """Begin of an orientation.
 
     The first one of a set-up belongs to it, a further one creates another set-up on the same point.
     """
     if not file.setups:
-        raise rest.location.error("*V0 without a set-up (*TSTN) before it")
-    options, name = rest.options(0), file.station
+        raise words.location.error("*V0 without a set-up (*TSTN) before it")
+    options, name = words.options(0), file.station
     setup = file.setups[name]
     default = options.values.get("TRGT", setup.default)
     setup = replace(setup, constant=options.number("ACST", 0.0) * GON, default=default)
@@ -228,16 +228,18 @@ def _observation(keyword: str, words: LineWords, file: _File) -> None:
         file.observed.append(SingleObservation(kind, file.station, target, si, sigma, *heights, where.row or 0))
 
 
-def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, where: SourceLocation) -> float:
+def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
     """Reading [m, rad] with counter-clockwise azimuth, and elevation in place of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
     if kind == "elevation":
         if not 0 <= value <= 200:
-            raise where.error(f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)")
+            raise location.error(
+                f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)"
+            )
         return float(np.pi / 2 - value * GON)
     if value <= 0:
-        raise where.error(f"found a distance of {value:g}, expected one above 0")
+        raise location.error(f"found a distance of {value:g}, expected one above 0")
     return value
 
 
@@ -298,10 +300,10 @@ class _TangentPlane:
     curved: bool
 
     @classmethod
-    def from_points(cls, points: list[DeclaredPoint], curved: str) -> _TangentPlane:
+    def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
         """Plane around the median of the points in use; points at 0, 0 are placeholders."""
-        placed = [point.declared_point[:2] for point in points if not point.is_placeholder]
-        return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
+        plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
+        return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
     def plane_coordinates(self, place: Floats) -> Vector:
         """Coordinates [mm] of a place in the plane."""

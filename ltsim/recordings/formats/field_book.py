@@ -33,22 +33,22 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
 
-    def add_setup(self, name: str, height: float, place: Vector | None, where: SourceLocation) -> None:
+    def add_setup(self, name: str, height: float, place: Vector | None, location: SourceLocation) -> None:
         """Addition of a set-up; a station that is occupied again gets a number."""
-        count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
+        count = sum(point == location.name(name, "station") for point, _, _ in self.setups.values())
         self.station = numbered_name(name, count)
         self.setups[self.station] = (name, height, place)
 
     def add_pointing(
         self,
         target: str,
-        where: SourceLocation,
+        location: SourceLocation,
         *,
         distance: float,
         horizontal: float,
         zenith: float,
         height: float = NOT_MEASURED,
-        flat: bool = False,
+        is_horizontal: bool = False,
     ) -> None:
         """Addition of a pointing: distance [m], clockwise circle and zenith angle [rad], NaN if not measured.
 
@@ -57,12 +57,12 @@ class FieldBook:
         Raises RecordError before the first station, and for values beyond any instrument.
         """
         if not self.station:
-            raise where.error("a measurement before any station is named; give --hint station=NAME")
+            raise location.error("a measurement before any station is named; give --hint station=NAME")
         distance = distance or NOT_MEASURED
         if not (np.isnan(distance) or 0 < distance < 1e6):
-            raise where.error(f"a distance of {distance:g} m")
+            raise location.error(f"a distance of {distance:g} m")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-            raise where.error("a zenith angle outside the circle")
+            raise location.error("a zenith angle outside the circle")
         elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
         if np.all(np.isnan([distance, horizontal, zenith])):
             self.skipped += 1
@@ -70,14 +70,14 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                where.name(target, "target"),
+                location.name(target, "target"),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),
                 elevation,
                 covariates={HEIGHT_COLUMNS[1]: height / MILLIMETRE} if np.isfinite(height) else {},
-                labels={KIND_COLUMN: "horizontal"} if flat and np.isfinite(distance) else {},
-                source=f"{self.path.name}, line {where.row}",
+                labels={KIND_COLUMN: "horizontal"} if is_horizontal and np.isfinite(distance) else {},
+                source=f"{self.path.name}, line {location.row}",
             )
         )
 

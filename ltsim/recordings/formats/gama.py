@@ -51,6 +51,7 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
+"""Axes of gama-local that form a left-handed frame: the sign of y is changed."""
 DIRECT_AXES = ("en", "nw", "se", "ws")
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 STDEV_ATTRIBUTES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
@@ -102,14 +103,14 @@ def _without_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
     `..` is not permitted either.
     """
-    named = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
-    given = dict.fromkeys(element.attrib[key] for element, key in named)
+    attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
+    given = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
     for name in (name for name in given if "/" in name and ".." not in name):
         names[name] = name.replace("/", "_")
         while names[name] in given or list(names.values()).count(names[name]) > 1:
             names[name] += "_"
-    for element, key in named:
+    for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
     if names:
         network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
@@ -276,11 +277,11 @@ def _scale_sigma(
 
 def _parse_angle(child: XmlNode) -> tuple[float, float]:
     """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation."""
-    parts = _DMS.fullmatch(child.required_attribute("val"))
-    if parts is None:
+    match = _DMS.fullmatch(child.required_attribute("val"))
+    if match is None:
         return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
-    degrees = float(parts[2]) + float(parts[3]) / 60 + float(parts[4]) / 3600
-    return (-degrees if parts[1] == "-" else degrees) * DEGREE, ARCSECOND
+    degrees = float(match[2]) + float(match[3]) / 60 + float(match[4]) / 3600
+    return (-degrees if match[1] == "-" else degrees) * DEGREE, ARCSECOND
 
 
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
@@ -357,9 +358,9 @@ def _target(point: GamaPoint, height: float) -> Target:
 def _noise(network: GamaNetwork) -> Noise:
     """Default standard deviations of the file; those of single observations are in columns."""
 
-    def default(kind: str, otherwise: float) -> float:
+    def default(kind: str, fallback: float) -> float:
         words = network.stdev.get(kind, "").split()
-        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 
     return Noise(

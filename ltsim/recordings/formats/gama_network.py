@@ -75,7 +75,7 @@ class GamaNetwork:
 def drop_undetermined_heights(network: GamaNetwork) -> None:
     """Removal of height observations that are neither fixed nor adjusted.
 
-    Their heights are held fixed, as Gama does.
+    The heights of their ends are fixed, as in Gama.
     """
     flat = {name for name, point in network.points.items() if point.active == "xy"}
     if not flat:
@@ -125,10 +125,10 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
 
 def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """Differences with a number where several join the same points, such as a line that was levelled twice."""
-    before: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for difference in differences:
-        number = before[difference.label]
-        before[difference.label] += 1
+        number = counts[difference.label]
+        counts[difference.label] += 1
         yield difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
 
 
@@ -182,7 +182,7 @@ def _sigma(child: XmlNode, apriori: float) -> float:
 
 def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDifference:
     """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
-    ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
+    end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
     if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
         message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
@@ -192,10 +192,10 @@ def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDiffe
         sign = np.array([1.0, y_sign, 1.0])
         precision = {"known_covariance_mm2": tuple((spread * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
     vector = tuple(round(value / MILLIMETRE, 9) for value in (x, y_sign * y, z))
-    if ends["from"] == ends["to"]:
+    if end_names["from"] == end_names["to"]:
         raise child.location.error(f"<{child.tag}> goes from a point to itself, expected two points")
     try:
-        return ReferenceDifference.model_validate({**ends, "known_mm": vector, **precision})
+        return ReferenceDifference.model_validate({**end_names, "known_mm": vector, **precision})
     except ValidationError:
         wanted = "values below 1e8 m, and variances that are positive in every direction"
         raise child.location.error(
@@ -203,12 +203,12 @@ def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDiffe
         ) from None
 
 
-def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
+def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
     """Standard deviations (n,) of the independent parts of observations, and effects (n, q) of q shared errors.
 
     With effects F and independent standard deviations on the diagonal of D, the declared covariance is D^2 + F F'. F
     has the smallest number of errors that leaves every observation an independent part. Uncorrelated observations share
-    none; `before` is the number of shared errors of earlier observations.
+    none; `n_earlier` is the number of shared errors of earlier observations.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):
@@ -216,7 +216,7 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], before
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
-    if before + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
+    if n_earlier + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
         message = (
             f"more than {MAX_CORRELATED_OBSERVATIONS} observations are correlated, expected fewer; give "
             "variances alone with band 0"

@@ -119,7 +119,7 @@ def _first_cloud(recording: Recording) -> dict[str, Vector]:
 def _observation_lines(recording: Recording) -> Iterator[str]:
     front, sigma = to_face(recording.readings, recording.face), recording.sigma()
     instrument, target_height = (h.tolist() for h in recording.heights())
-    flat = recording.is_horizontal
+    is_horizontal = recording.is_horizontal
     for s, station in enumerate(recording.stations):
         yield f"<obs from={quoteattr(_point_under_station(recording, station))}>"
         for i in np.flatnonzero(recording.station == s).tolist():
@@ -132,7 +132,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
             if np.isfinite(elevation):
                 yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CENTESIMAL_SECOND!r}" />'
             if np.isfinite(distance):
-                kind = "distance" if flat[i] else "s-distance"
+                kind = "distance" if is_horizontal[i] else "s-distance"
                 yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
         yield "</obs>"
 

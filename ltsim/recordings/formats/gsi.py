@@ -37,17 +37,17 @@ class _GsiLine:
     where: SourceLocation
 
     @classmethod
-    def from_line(cls, line: str, where: SourceLocation) -> _GsiLine:
-        wide = line.startswith("*")
+    def from_line(cls, line: str, location: SourceLocation) -> _GsiLine:
+        is_wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
             match = _WORD_PATTERN.fullmatch(text)
             if _PPM_PATTERN.fullmatch(text):
                 continue
-            if match is None or (len(match[4]) == 16) != wide:
-                raise where.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if wide else 8}")
+            if match is None or (len(match[4]) == 16) != is_wide:
+                raise location.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if is_wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
-        return cls(words, where)
+        return cls(words, location)
 
     def has_words(self, *keys: str) -> bool:
         return all(key in self.words for key in keys)
@@ -103,14 +103,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    before = _GsiLine({}, SourceLocation(path))
+    last_block = _GsiLine({}, SourceLocation(path))
     for i, line in enumerate(lines):
         if line.strip():
             block = _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1))
-            if i == len(lines) - 1 and block.words.keys() != before.words.keys():
+            if i == len(lines) - 1 and block.words.keys() != last_block.words.keys():
                 raise block.where.error("the last line has no line break and is incomplete")
             _process_block(block, file)
-            before = block
+            last_block = block
     notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
     return file.make_recording("a GSI file", *notes)
 
@@ -128,13 +128,13 @@ def _process_block(block: _GsiLine, file: FieldBook) -> None:
 
 
 def _pointing(block: _GsiLine, file: FieldBook) -> None:
-    flat = not block.has_words("31")
+    is_horizontal = not block.has_words("31")
     file.add_pointing(
         block.name("11"),
         block.where,
-        distance=block.length("32" if flat else "31", NOT_MEASURED),
+        distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),
         horizontal=block.angle("21"),
         zenith=block.angle("22"),
         height=block.length("87"),
-        flat=flat,
+        is_horizontal=is_horizontal,
     )

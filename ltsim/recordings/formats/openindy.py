@@ -47,16 +47,16 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     root = parse_xml(path)
     if root.tag != ROOT_ELEMENT:
         raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
-    named = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
-    stations = {node.required_attribute("id"): node for node in named if node.tag == "station"}
-    geometries = {node.required_attribute("id"): node for node in named if node.tag != "station"}
+    named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
+    stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
+    geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
     notes: Counter[str] = Counter()
     readings = [_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
-    start = np.min([p.time for p in pointings])
-    pointings = [replace(p, time=p.time - start) for p in pointings]
+    first_time = np.min([p.time for p in pointings])
+    pointings = [replace(p, time=p.time - first_time) for p in pointings]
     counts = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
     recording = recording_of_pointings(pointings, setup, notes=counts, file=path)
@@ -83,9 +83,9 @@ def _pointing(
     if reference not in stations:
         raise node.location.error(f"a reading refers to station {quoted_text(reference)}, which does not exist")
     measured = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
-    missing = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
-    if missing:
-        raise node.location.error(f"a {kind} reading lacks its {missing[0]}")
+    missing_names = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
+    if missing_names:
+        raise node.location.error(f"a {kind} reading lacks its {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
         {name: measured[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
     )

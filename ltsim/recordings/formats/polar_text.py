@@ -44,7 +44,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed line, or for a convention that the data do not decide.
     """
-    return tables.read(path, _hints_from_comments(read_lines(path, liberal=True), hints, path), positional=True)
+    return tables.read(
+        path, _hints_from_comments(read_lines(path, replaces_undecodable=True), hints, path), positional=True
+    )
 
 
 def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:

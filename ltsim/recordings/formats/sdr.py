@@ -44,10 +44,10 @@ class _Dialect:
     north_first: bool
 
     @classmethod
-    def from_header(cls, header: str, where: SourceLocation) -> "_Dialect":
+    def from_header(cls, header: str, location: SourceLocation) -> "_Dialect":
         match = _HEADER_PATTERN.match(header)
         if match is None:
-            raise where.error(
+            raise location.error(
                 f"'{quoted_text(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
             )
         units = header[UNITS_COLUMN].ljust(5, "1")
@@ -56,7 +56,7 @@ class _Dialect:
             (units[1], SDR_LENGTH_FACTORS, "distances"),
         ):
             if digit not in units_of:
-                raise where.error(f"unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}")
+                raise location.error(f"unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}")
         return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
 
     def fields(self, line: str, names: int, numbers: int) -> tuple[list[str], list[str]]:
@@ -81,7 +81,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for a malformed record, or for observations from an unknown station.
     """
     book = FieldBook(path)
-    lines = read_lines(path, liberal=True)
+    lines = read_lines(path, replaces_undecodable=True)
     dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
     height, from_horizon, skipped = NOT_MEASURED, False, 0
     for i, line in enumerate(lines[1:], start=2):
@@ -100,27 +100,27 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return book.make_recording("an SDR file", *notes)
 
 
-def _read_setup(line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation) -> None:
+def _read_setup(line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation) -> None:
     (name,), (first, second, up, height) = dialect.fields(line, 1, 4)
-    plan = [_parse_number(text, where) * dialect.length / MILLIMETRE for text in (first, second)]
+    plan = [_parse_number(text, location) * dialect.length / MILLIMETRE for text in (first, second)]
     y, x = plan if dialect.north_first else plan[::-1]
-    z = _parse_number(up, where) * dialect.length / MILLIMETRE
+    z = _parse_number(up, location) * dialect.length / MILLIMETRE
     place = (x, y, z) if np.isfinite([x, y, z]).all() else None
-    tall = _parse_number(height, where)
-    book.add_setup(name, 0.0 if np.isnan(tall) else tall * dialect.length, place, where)
+    tall = _parse_number(height, location)
+    book.add_setup(name, 0.0 if np.isnan(tall) else tall * dialect.length, place, location)
 
 
 def _read_observation(
-    line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation, *, height: float, from_horizon: bool
+    line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation, *, height: float, from_horizon: bool
 ) -> None:
     (station, target), cells = dialect.fields(line, 2, 3)
     if book.station and station != book.setups[book.station][0]:
-        raise where.error(f"is measured from '{quoted_text(station)}', expected the station of the last record 02")
-    distance, vertical, horizontal = (_parse_number(cell, where) for cell in cells)
+        raise location.error(f"is measured from '{quoted_text(station)}', expected the station of the last record 02")
+    distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
     vertical *= dialect.angle
     book.add_pointing(
         target,
-        where,
+        location,
         distance=distance * dialect.length,
         horizontal=horizontal * dialect.angle,
         zenith=np.pi / 2 - vertical if from_horizon else vertical,
@@ -128,5 +128,5 @@ def _read_observation(
     )
 
 
-def _parse_number(text: str, where: SourceLocation) -> float:
-    return where.number(text) if text.strip() else NOT_MEASURED
+def _parse_number(text: str, location: SourceLocation) -> float:
+    return location.number(text) if text.strip() else NOT_MEASURED

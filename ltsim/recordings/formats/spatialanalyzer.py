@@ -32,11 +32,13 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
 MAX_SAME_POINT_DISTANCE = 2e-3
+"""Largest distance [m] between the centres of two groups of points that count as one target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns of a block, as in the option --columns."""
 PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that a block must have, with their permitted units."""
 RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
+"""Columns of a report that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 
@@ -150,29 +152,29 @@ def _read_blocks(path: Path) -> list[_Block]:
     return list(blocks.values())
 
 
-def _parse_heading(cell: str, where: SourceLocation) -> tuple[str, str, str]:
+def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
-    parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
-    if parts is None:
-        raise where.error("a block without the name of its set-up")
-    return parts[1] or "", parts[2], (parts[3] or "").replace("/", "-").strip()
+    match = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
+    if match is None:
+        raise location.error("a block without the name of its set-up")
+    return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
 
 
-def _read_pose(block: _Block, fields: Sequence[str], where: SourceLocation) -> None:
+def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.count = int(where.number(fields[1], "# Meas.", comma=True))
+        block.count = int(location.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
-        values = np.array([where.number(text, comma=True) for text in fields[1:4]])
+        values = np.array([location.number(text, comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]
         elif unit in ANGLE_UNITS:
             block.rotation = values * SI_PER_UNIT[unit]
         else:
-            raise where.error(f"unit '{quoted_text(fields[0].strip('()'))}' of a pose is not known")
+            raise location.error(f"unit '{quoted_text(fields[0].strip('()'))}' of a pose is not known")
 
 
-def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
+def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
     """Check of the headings.
 
     Raises RecordError for a required column that is missing, repeated, or in an unknown unit.
@@ -182,10 +184,10 @@ def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
         units = [unit for word, unit in named if word == wanted]
         if len(units) != 1:
             message = f"the heading has {len(units)} columns called {wanted.capitalize()}, expected one"
-            raise where.error(message)
+            raise location.error(message)
         if allowed is not None and units[0] not in allowed:
             message = f"unit '{quoted_text(units[0])}' in this heading, expected one of {', '.join(allowed)}"
-            raise where.error(message, wanted.capitalize())
+            raise location.error(message, wanted.capitalize())
 
 
 def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) -> TableSheet:

@@ -64,9 +64,9 @@ def sample_rows(sheet: TableSheet) -> list[SheetRow]:
     return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
 
 
-def _likely_assignments(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Assignments of columns that the values permit, most likely first: names, a face, then readings or coordinates."""
-    columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
+    columns: list[tuple[str, ...]] = list(zip(*rows, strict=True))
     times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
     rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
     texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
@@ -140,24 +140,24 @@ def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
 
 
 def _possible_conventions(
-    first: Sequence[int], other: Sequence[int], columns: ColumnAssignment, titles: Sequence[str]
+    first: Sequence[int], angle_columns: Sequence[int], columns: ColumnAssignment, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Unit and kind of the vertical angle that the numbers and its title permit, most likely first."""
-    vertical = _column_numbers(columns[other[0]])
-    largest = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[other[0]]))
+    vertical = _column_numbers(columns[angle_columns[0]])
+    max_value = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
     if _is_sexagesimal(first, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
-    elif largest < MAX_CIRCLE_RADIANS:
+    elif max_value < MAX_CIRCLE_RADIANS:
         units = ("rad",)
     else:
-        units = ("deg", "gon") if largest <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
+        units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
     lowest = min(vertical, default=Decimal(0))
-    kind = "elevation" if lowest < 0 else "zenith" if "zenit" in normalised_title(titles[other[0]]) else "vertical"
+    kind = "elevation" if lowest < 0 else "zenith" if "zenit" in normalised_title(titles[angle_columns[0]]) else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
 def _distance_columns(
-    role: str, after: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
+    role: str, angle_columns: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
 ) -> list[list[str]]:
     """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
 
@@ -165,7 +165,7 @@ def _distance_columns(
     """
     candidates = [
         i
-        for i in after
+        for i in angle_columns
         if _has_fraction(columns[i])
         and not _has_marked_angles(columns[i])
         and min(_column_numbers(columns[i]), default=Decimal(0)) > 0

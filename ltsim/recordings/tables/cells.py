@@ -161,18 +161,18 @@ def parse_number(text: str, grouping: str = "") -> Decimal | None:
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
-    bare = python_number(
+    digits = python_number(
         text.replace(grouping, "") if grouping and _GROUPED_PATTERN[grouping].fullmatch(text) else text
     )
-    return Decimal(bare) if is_number(bare) else None
+    return Decimal(digits) if is_number(digits) else None
 
 
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
-    whole = "".join(texts)
-    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(whole):
+    joined_text = "".join(texts)
+    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(joined_text):
         return None
-    if "e" in whole.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
+    if "e" in joined_text.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
         return None
     try:
         return np.array([float(text or "nan") for text in texts], dtype=np.float64)
@@ -196,10 +196,10 @@ def parse_quantity(text: str, grouping: str = "") -> Decimal | None:
 
 def parse_packed_degrees(text: str) -> Decimal | None:
     """Degrees of a cell that packs minutes and seconds into decimals (``33.120747``); None for another cell."""
-    parts = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
-    if parts is None:
+    match = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
+    if match is None:
         return _parse_sexagesimal(text)
-    sign, degrees, rest = parts.groups(default="")
+    sign, degrees, rest = match.groups(default="")
     digits = rest.ljust(4, "0")
     return _degrees(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
 
@@ -209,8 +209,8 @@ def _parse_sexagesimal(text: str) -> Decimal | None:
     if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
-    parts = _SEXAGESIMAL_PATTERN.fullmatch(text) or _TO_MINUTES_PATTERN.fullmatch(text)
-    return None if parts is None else _degrees(*(part.replace(",", ".") for part in parts.groups()))
+    match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _TO_MINUTES_PATTERN.fullmatch(text)
+    return None if match is None else _degrees(*(part.replace(",", ".") for part in match.groups()))
 
 
 def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
@@ -236,10 +236,10 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_clock, texts)
     if clocks is not None:
-        return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], dated=False)
+        return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
     read = (_convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders)
-    readings = [_seconds_since_first(stamps, dated=True) for stamps in read if stamps is not None]
+    readings = [_seconds_since_first(stamps, has_date=True) for stamps in read if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
     return readings[0] if readings else (None, "")
@@ -265,10 +265,12 @@ def is_date_or_time(text: str) -> bool:
 
 def has_clock(text: str) -> bool:
     """True if a cell is a time of day, with or without a date."""
-    bare = _without_apostrophe(text)
-    return (":" in bare or "h" in bare.lower() or _COMPACT_STAMP_PATTERN.fullmatch(bare) is not None) and (
-        _parse_clock(bare) is not None
-        or any(_parse_date_and_time(bare, letters, None) is not None for letters in _DATE_ORDERS)
+    plain_text = _without_apostrophe(text)
+    return (
+        ":" in plain_text or "h" in plain_text.lower() or _COMPACT_STAMP_PATTERN.fullmatch(plain_text) is not None
+    ) and (
+        _parse_clock(plain_text) is not None
+        or any(_parse_date_and_time(plain_text, letters, None) is not None for letters in _DATE_ORDERS)
     )
 
 
@@ -277,9 +279,9 @@ def _without_apostrophe(text: str) -> str:
     return text.strip().removeprefix("'").strip()
 
 
-def _seconds_since_first(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
+def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[list[float], str]:
     first = min(stamps)
-    moment = first.isoformat() if dated else first.time().isoformat()
+    moment = first.isoformat() if has_date else first.time().isoformat()
     return [(stamp - first).total_seconds() for stamp in stamps], moment
 
 
@@ -299,11 +301,11 @@ def _parse_clock(text: str) -> timedelta | None:
     if match is None:
         return None
     hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
-    half = (match.group(5) or "").lower()
-    if hours > 23 or minutes > 59 or seconds > 60 or (half and not 1 <= hours <= 12):
+    day_half = (match.group(5) or "").lower()
+    if hours > 23 or minutes > 59 or seconds > 60 or (day_half and not 1 <= hours <= 12):
         return None
-    if half:
-        hours = hours % 12 + (12 if half == "p" else 0)
+    if day_half:
+        hours = hours % 12 + (12 if day_half == "p" else 0)
     return timedelta(
         hours=hours, minutes=minutes, seconds=seconds, microseconds=float("0." + (match.group(4) or "0")) * 1e6
     )
@@ -315,12 +317,12 @@ def _numeric_date(text: str) -> str:
     if compact is not None:
         year, month, day, hours, minutes, seconds, _ = compact.groups()
         return f"{year}-{month}-{day} {hours}:{minutes}:{seconds}"
-    named = _MONTH_NAME_PATTERN.match(text)
-    if named is None:
+    match = _MONTH_NAME_PATTERN.match(text)
+    if match is None:
         return text
-    day, name, year = named.group(1, 2, 3) if named[1] else named.group(5, 4, 6)
+    day, name, year = match.group(1, 2, 3) if match[1] else match.group(5, 4, 6)
     month = _MONTHS.get(name.casefold())
-    return text if month is None else f"{year}-{month}-{day}{text[named.end() :].replace(',', ' ', 1)}"
+    return text if month is None else f"{year}-{month}-{day}{text[match.end() :].replace(',', ' ', 1)}"
 
 
 def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime | None:

@@ -146,15 +146,15 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     Coordinates in a table of polar readings are further columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
-    both = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
+    two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     polar = _reading_kinds(candidates) > 1
     words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
     columns: list[TableColumn] = []
     taken: set[tuple[str, int]] = set()
     for column in candidates:
         assigned = column
-        if assigned.face and assigned.role not in both:
-            assigned = _column_from_title(assigned.position, assigned.title, faced=False)
+        if assigned.face and assigned.role not in two_face_roles:
+            assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
         if title_words_and_unit(assigned.title)[0] in fallback and not words[assigned.role] <= {*fallback}:
             assigned = replace(assigned, role=FALLBACK_TITLE_ROLES[assigned.role])
@@ -171,12 +171,12 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Columns with a number added to each repeated title, because titles are the keys of additional columns."""
-    before: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     distinct = []
     for column in columns:
-        before[column.title] += 1
-        again = column.title and before[column.title] > 1
-        distinct.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+        counts[column.title] += 1
+        again = column.title and counts[column.title] > 1
+        distinct.append(replace(column, title=f"{column.title} ({counts[column.title]})") if again else column)
     return distinct
 
 
@@ -261,14 +261,14 @@ def title_role(name: str) -> str:
 
 def normalised_title(text: str) -> str:
     """Letters and digits of a title in lower case, without accents."""
-    bare = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
-    return re.sub(r"[^a-z0-9]", "", bare)
+    letters = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
+    return re.sub(r"[^a-z0-9]", "", letters)
 
 
-def _column_from_title(place: int, title: str, *, faced: bool = True) -> TableColumn:
+def _column_from_title(place: int, title: str, *, has_face: bool = True) -> TableColumn:
     name, unit = title_words_and_unit(title)
     role, face = title_role(name), 0
-    numbered = _FACE_NUMBER_PATTERN.fullmatch(name) if faced and not role else None
+    numbered = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
     if numbered is not None:
         role = title_role(numbered.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0

@@ -73,7 +73,7 @@ class ColumnInterpretation:
     azimuth: AzimuthSense
     notes: tuple[str, ...] = ()
 
-    def readings(self, printed: PrintedPointings) -> Floats:
+    def readings(self, pointings: PrintedPointings) -> Floats:
         """Raw ranges [m], azimuths and elevations [rad] (n, 3), equal to those of a native file."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
@@ -85,9 +85,11 @@ class ColumnInterpretation:
             return np.where(up < -QUARTER_CIRCLE_DEG * degree, up + FULL_CIRCLE_DEG * degree, up)
 
         polar = [
-            apply_exactly(printed.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
-            apply_exactly(printed.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth),
-            apply_exactly(printed.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
+            apply_exactly(pointings.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
+            apply_exactly(
+                pointings.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth
+            ),
+            apply_exactly(pointings.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
@@ -111,25 +113,25 @@ def interpret_readings(
         return _readings_from_coordinates(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_of = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
-    printed = table.pointings
-    _, station = index_names(printed.station, "station", file)
-    _, target = index_names(printed.target, "target", file)
+    pointings = table.pointings
+    _, station = index_names(pointings.station, "station", file)
+    _, target = index_names(pointings.target, "target", file)
     polar = PolarReadings(
         station,
         target,
-        *(to_floats(printed.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
+        *(to_floats(pointings.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
     )
     units, vertical, notes = _angle_conventions(columns, unit_of, polar, hints, file)
     length, more = _length_convention(unit_of["distance"], polar, table, hints, file)
     meaning = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
     azimuth, why = _azimuth_sense(table, meaning, polar, poses, hints, file)
     meaning = replace(meaning, azimuth=azimuth, notes=(*notes, *more, *why))
-    return meaning, meaning.readings(printed)
+    return meaning, meaning.readings(pointings)
 
 
 def _angle_conventions(
     columns: Mapping[str, TableColumn | None],
-    unit_of: Mapping[str, str],
+    unit_by_column: Mapping[str, str],
     polar: PolarReadings,
     hints: Hints,
     file: Path,
@@ -139,7 +141,7 @@ def _angle_conventions(
     declared: VerticalKind | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
     if column is None:
         declared = "elevation"
-    turn_unit, rise_unit = unit_of["horizontal"], unit_of["vertical"]
+    turn_unit, rise_unit = unit_by_column["horizontal"], unit_by_column["vertical"]
     unit = turn_unit or rise_unit or hints.angle or ""
     # The data are asked in one unit: angles in different ones are brought to degrees first.
     asked, common_unit = polar, None
@@ -181,7 +183,7 @@ def _length_convention(
 
 def _azimuth_sense(
     table: PointingTable,
-    meaning: ColumnInterpretation,
+    interpretation: ColumnInterpretation,
     polar: PolarReadings,
     poses: Mapping[int, StationPoseArrays],
     hints: Hints,
@@ -191,7 +193,7 @@ def _azimuth_sense(
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
-        local = from_polar(meaning.readings(table.pointings))
+        local = from_polar(interpretation.readings(table.pointings))
         if hints.points is not None:
             return azimuth_sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
         azimuth = azimuth_sense_from_poses(local, polar, poses)
@@ -207,7 +209,7 @@ def _azimuth_sense(
         return "clockwise", [
             f"{circle}, which this file alone cannot show (otherwise give --hint azimuth=counter-clockwise)"
         ]
-    if meaning.vertical == "elevation":
+    if interpretation.vertical == "elevation":
         spherical = (
             "azimuths with elevations are interpreted as counter-clockwise (otherwise give --hint azimuth=clockwise)"
         )
@@ -220,8 +222,8 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
     Raises RecordError if a coordinate is missing, or if all set-ups are in one frame.
     """
-    printed = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
-    rows, axes = np.nonzero(np.isnan(printed))
+    coordinates = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
+    rows, axes = np.nonzero(np.isnan(coordinates))
     if len(rows):
         raise table.pointings.source_location(int(rows[0])).error(
             f"the coordinate {COORDINATE_ROLES[axes[0]]} is missing"
@@ -229,14 +231,14 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     length = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length:
-        length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
-    readings = to_polar(printed * SI_PER_UNIT[length])
-    near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
-    if len(near):
-        raise table.pointings.source_location(int(near[0])).error(
+        length, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
+    readings = to_polar(coordinates * SI_PER_UNIT[length])
+    near_indices = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(near_indices):
+        raise table.pointings.source_location(int(near_indices[0])).error(
             "coincides with the instrument, expected another point"
         )
-    _require_separate_frames(table, printed * SI_PER_UNIT[length], file)
+    _require_separate_frames(table, coordinates * SI_PER_UNIT[length], file)
     return ColumnInterpretation(
         "rad", "rad", length, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
     ), readings
@@ -267,10 +269,10 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
     if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
-    printed = table.pointings
-    columns_of_numbers = [map(cells.parse_value, printed.texts(title), printed.grouping) for title, _ in titles]
-    printed.additional_cells = {
-        title: column for title, column in printed.additional_cells.items() if title not in dict(titles)
+    pointings = table.pointings
+    columns_of_numbers = [map(cells.parse_value, pointings.texts(title), pointings.grouping) for title, _ in titles]
+    pointings.additional_cells = {
+        title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)
     }
     sizes = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
     variance = (np.stack(sizes, axis=1) * [factor for _, factor in titles]) ** 2

@@ -34,11 +34,11 @@ def circle_orientations(occupation: Ints, sight: Ints, readings: Floats) -> Ints
     _, first_row, code = np.unique(sight, return_index=True, return_inverse=True)
     change = readings - readings[first_row[code]]
     rotation = wrap_angle(change[:, 1])
-    moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
-    rotation[moved | (first_row[code] == np.arange(len(sight)))] = np.nan  # new targets, and those that moved
-    turned = np.unique(occupation[np.abs(rotation) > MIN_ZEROED_ROTATION])
+    is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
+    rotation[is_moved | (first_row[code] == np.arange(len(sight)))] = np.nan  # new targets, and those that moved
+    turned_setups = np.unique(occupation[np.abs(rotation) > MIN_ZEROED_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
-    for number in turned.tolist():
+    for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
         local = np.searchsorted(rows, first_row[code[rows]])
         orientation[rows] = _orientations_of_occupation(local.tolist(), rotation[rows].tolist())
@@ -85,8 +85,8 @@ def _is_confirmed(
     return False
 
 
-def _is_equal_direction(angle: float, other: float) -> bool:
-    return abs(_wrap(angle - other)) < MAX_DIRECTION_DIFFERENCE
+def _is_equal_direction(angle: float, other_angle: float) -> bool:
+    return abs(_wrap(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
 
 
 def _wrap(angle: float) -> float:

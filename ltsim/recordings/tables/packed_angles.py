@@ -29,13 +29,13 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     numbers = {c.role: table.pointings.numbers[c.role] for c in columns if c.role in table.pointings.numbers}
     if not _are_packed(np.concatenate([digits[:N_SAMPLE_CELLS] for digits in numbers.values()])):
         return table
-    every = np.concatenate(list(numbers.values()))
-    if not _are_packed(every):
+    all_values = np.concatenate(list(numbers.values()))
+    if not _are_packed(all_values):
         return table
     table.pointings.numbers |= {role: _decimal_degrees(digits) for role, digits in numbers.items()}
     table.columns = [replace(c, unit="deg") if c in columns else c for c in table.columns]
     table.notes.append(
-        f"the angles in {_titles(columns)} are interpreted as ddd.mmss: all {len(every)} have minutes and seconds "
+        f"the angles in {_titles(columns)} are interpreted as ddd.mmss: all {len(all_values)} have minutes and seconds "
         "below 60 (otherwise give --hint angle=deg or --hint angle=gon)"
     )
     return table

@@ -146,20 +146,20 @@ class PrintedPointings:
         return PrintedPointings(*[*lists, numbers, further])
 
 
-def join_pointings(parts: Sequence[PrintedPointings]) -> PrintedPointings:
+def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
     """Pointings of several parts in sequence; a column that a part lacks is empty there."""
-    if len(parts) == 1:
-        return parts[0]
+    if len(tables) == 1:
+        return tables[0]
     lists: list[Any] = [
-        _concatenate(columns) for columns in zip(*(part.complete_columns for part in parts), strict=True)
+        _concatenate(columns) for columns in zip(*(part.complete_columns for part in tables), strict=True)
     ]
-    roles = dict.fromkeys(role for part in parts for role in part.numbers)
-    titles = dict.fromkeys(title for part in parts for title in part.additional_cells)
+    roles = dict.fromkeys(role for part in tables for role in part.numbers)
+    titles = dict.fromkeys(title for part in tables for title in part.additional_cells)
     numbers = {
-        role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in parts])
+        role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
-    further = {title: _concatenate(part.texts(title) for part in parts) for title in titles}
+    further = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
     return PrintedPointings(*[*lists, numbers, further])
 
 
@@ -225,11 +225,11 @@ class PointingTable:
                 message = f"has cells in {before} and in {unit}, expected one unit"
                 raise SourceLocation(file, None).error(message, quoted_text(title))
 
-    def add_sheet(self, other: PointingTable, file: object) -> None:
+    def add_sheet(self, sheet: PointingTable, file: object) -> None:
         """Addition of the columns and notes of another sheet; raises RecordError."""
-        self.add_header(other.columns, file)
-        self.unread += other.unread
-        self.notes += [note for note in other.notes if note not in self.notes]
-        self.nameless |= other.nameless
-        self.add_cell_units(other.cell_units, file)
-        self.positional |= other.positional
+        self.add_header(sheet.columns, file)
+        self.unread += sheet.unread
+        self.notes += [note for note in sheet.notes if note not in self.notes]
+        self.nameless |= sheet.nameless
+        self.add_cell_units(sheet.cell_units, file)
+        self.positional |= sheet.positional

@@ -39,16 +39,16 @@ def with_time_column(table: PointingTable) -> PointingTable:
     """Table with a time column: if no title means time, the first additional column of times is used."""
     if table.column(("time",)) is not None:
         return table
-    printed = table.pointings
+    pointings = table.pointings
     for column in table.columns:
-        texts = printed.additional_cells.get(column.title, [])
+        texts = pointings.additional_cells.get(column.title, [])
         filled = [text for text in texts if text]
         if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
             continue
         title = column.title
-        printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
-        printed.additional_cells = {
-            name: cells_of for name, cells_of in printed.additional_cells.items() if name != title
+        pointings.moment = [" ".join(filter(None, both)) for both in zip(pointings.moment, texts, strict=True)]
+        pointings.additional_cells = {
+            name: cells_of for name, cells_of in pointings.additional_cells.items() if name != title
         }
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
         table.notes.append(f"'{quoted_text(title)}' is interpreted as the time of each pointing (its cells are clocks)")
@@ -145,14 +145,14 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
 
 def assemble_recording(
-    table: PointingTable, meaning: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
+    table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """Recording of a table whose readings (n, 3) were interpreted, in the order of its pointings."""
     printed, nothing = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
-    sigmas = sigmas_from_coordinates(table, readings, meaning.length_unit)
-    covariates, labels, further = _additional_columns(table, meaning)
+    sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
+    covariates, labels, further = _additional_columns(table, interpretation)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
-    is_total_station = bool(total_station_reason(table, meaning, readings))
+    is_total_station = bool(total_station_reason(table, interpretation, readings))
     same_place, rounds = split_occupations(table, readings, turns, is_total_station=is_total_station)
     upright = is_total_station and table.column(("elevation",)) is None
     setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
@@ -171,7 +171,17 @@ def assemble_recording(
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
-    remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread_lines_note(table)]
+    remarks = [
+        table.notes,
+        interpretation.notes,
+        rounds,
+        over,
+        reduced,
+        timed,
+        further,
+        unused,
+        _unread_lines_note(table),
+    ]
     targets, target = indices_by_value(printed.target)
     _, first = np.unique(target, return_index=True)
     for name, row in zip(targets, first.tolist(), strict=True):
@@ -191,13 +201,15 @@ def assemble_recording(
     )
 
 
-def _merged_labels(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both mappings; in each row a non-empty label of `above` has priority."""
-    both = {
-        name: [upper or other for upper, other in zip(above[name], column, strict=True)] if name in above else column
-        for name, column in below.items()
+def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Labels of both mappings; in each row a non-empty label of `priority_labels` has priority."""
+    merged_labels = {
+        name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
+        if name in priority_labels
+        else column
+        for name, column in default_labels.items()
     }
-    return {**above, **both}
+    return {**priority_labels, **merged_labels}
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
@@ -225,7 +237,7 @@ def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], 
 
 
 def _additional_columns(
-    table: PointingTable, meaning: ColumnInterpretation
+    table: PointingTable, interpretation: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Additional columns of each pointing: numbers as covariates, texts as labels, and notes.
 
@@ -234,10 +246,10 @@ def _additional_columns(
     columns = [c for c in table.columns if c.is_additional]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
     values = [c for c in columns if c.title not in words]
-    converted = {c.title: _covariate_values(c, table.pointings, meaning) for c in values}
+    converted = {c.title: _covariate_values(c, table.pointings, interpretation) for c in values}
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
-    named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
-    names = {c.title: c.role if c.title in named else c.title for c in columns}
+    used_titles = words | {c.title for c in values if "_" in c.role and c.title in numeric}
+    names = {c.title: c.role if c.title in used_titles else c.title for c in columns}
     covariates = {names[title]: column for title, column in numeric.items()}
     labels = {
         names[title]: column for title, column in table.pointings.additional_cells.items() if title not in numeric
@@ -245,7 +257,7 @@ def _additional_columns(
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
         f"'{quoted_text(c.title)}' is interpreted as {c.role}"
-        + ("" if c.unit else f", in {_column_unit(c, meaning)} as its reading")
+        + ("" if c.unit else f", in {_column_unit(c, interpretation)} as its reading")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
@@ -257,34 +269,36 @@ def _additional_columns(
     )
 
 
-def _column_unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
-    return column.unit or meaning.unit_of(column.role)
+def _column_unit(column: TableColumn, interpretation: ColumnInterpretation) -> str:
+    return column.unit or interpretation.unit_of(column.role)
 
 
-def _covariate_values(column: TableColumn, printed: PrintedPointings, meaning: ColumnInterpretation) -> Floats | None:
+def _covariate_values(
+    column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
+) -> Floats | None:
     """Numbers of a column in the unit of its role, NaN for an empty cell; None for a text column."""
-    texts = printed.additional_cells.get(column.title, [])
+    texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
-    values = cells.plain_numbers(texts) if not any(printed.grouping) else None
+    values = cells.plain_numbers(texts) if not any(pointings.grouping) else None
     if values is not None:
-        return values * _unit_factor(column, meaning)
+        return values * _unit_factor(column, interpretation)
     numbers = np.full(len(texts), NOT_MEASURED)
-    for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
+    for i, (text, grouping) in enumerate(zip(texts, pointings.grouping, strict=True)):
         if text:
             number = cells.parse_quantity(text, grouping)
             if number is None:
                 return None
             numbers[i] = number
-    return numbers * _unit_factor(column, meaning)
+    return numbers * _unit_factor(column, interpretation)
 
 
-def _unit_factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
+def _unit_factor(column: TableColumn, interpretation: ColumnInterpretation) -> float:
     """Factor from the unit of a column of standard deviations or heights to the unit of its role."""
     wanted = column.role.rpartition("_")[2]
     if wanted not in ("mm", "arcsec"):
         return 1.0
-    unit = _column_unit(column, meaning)
+    unit = _column_unit(column, interpretation)
     return float(unit_ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
 
 
@@ -309,7 +323,7 @@ MIN_RANGES = 6
 """Smallest number of ranges whose last digit is used: fewer may all end in zeros by chance."""
 
 
-def total_station_reason(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
+def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
     """Reason why the table is from a total station; empty if it may be from a laser tracker.
 
     Heights above marks are no sufficient reason: trackers are set up over marks too.
@@ -327,7 +341,7 @@ def total_station_reason(table: PointingTable, meaning: ColumnInterpretation, re
     places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(places) < MIN_RANGES:
         return ""
-    digit = 10.0 ** -int(places.max()) * SI_PER_UNIT[meaning.length_unit]
+    digit = 10.0 ** -int(places.max()) * SI_PER_UNIT[interpretation.length_unit]
     if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:

@@ -87,18 +87,18 @@ class RunReader:
         table = list(zip(*padded, strict=True))
         if self.faces == (0,):
             return self._pointings_of_face(0, run, table)
-        both = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
-        angles = both.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
+        pointings = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
+        angles = pointings.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
-        return both.take(by_row[angles[by_row]].tolist())
+        return pointings.take(by_row[angles[by_row]].tolist())
 
     def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
         """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.position] for c in reversed(columns) if c.role}
         nothing = ("",) * len(run)
-        named = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
-        self.nameless |= "" in named
+        stations = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
+        self.nameless |= "" in stations
         faces = self._faces(text["face"], run.line) if "face" in text else [0] * len(run)
         numbers: dict[str, Digits] = {}
         for c in columns:
@@ -112,7 +112,7 @@ class RunReader:
         return PrintedPointings(
             [self.sheet.file] * len(run),
             run.line,
-            [intern(name or "S1") for name in named],
+            [intern(name or "S1") for name in stations],
             list(map(intern, text.get("target", nothing))),
             [face] * len(run) if face else faces,
             _joined_cells(text.get("date"), text.get("time")) or [*nothing],
@@ -133,8 +133,8 @@ class RunReader:
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
         """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
         values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
-        least = 0.0 if column.role in DISTANCE_ROLES else -np.inf
-        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= least)):
+        lower_bound = 0.0 if column.role in DISTANCE_ROLES else -np.inf
+        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= lower_bound)):
             return to_digits(texts)
         numbers, unit = cells.split_common_unit(texts)
         if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):
@@ -154,22 +154,27 @@ class RunReader:
         """Digits of the number in one cell."""
         packed = column.unit == "dms"
         number = cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
-        where = self._place(line)
+        location = self._place(line)
         if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
-            raise where.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
+            raise location.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
         if number is None or not abs(number) < MAX_READING_MAGNITUDE:
-            raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
+            raise location.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
         if column.role in DISTANCE_ROLES and not number > 0:
             what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell without one"
-            raise where.error(what, quoted_text(column.title))
+            raise location.error(what, quoted_text(column.title))
         return str(number)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
         """Cells of an additional column; equal texts are stored once."""
         distinct = dict.fromkeys(texts)
-        whole = "".join(distinct)
-        if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT_LENGTH:
+        joined_text = "".join(distinct)
+        if (
+            not joined_text.isprintable()
+            or "<" in joined_text
+            or ">" in joined_text
+            or max(map(len, distinct)) > MAX_TEXT_LENGTH
+        ):
             for text, line in zip(texts, lines, strict=True):
                 self._place(line).text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
@@ -259,15 +264,15 @@ class _SheetReader:
         self.run = HeaderRun()
         """Rows of pointings that are not converted yet."""
 
-    def read(self, start: int) -> PointingTable:
-        """Pointings of the rows below the header in row `start`; -1 for numbered columns."""
+    def read(self, header_row: int) -> PointingTable:
+        """Pointings of the rows below the header in row `header_row`; -1 for numbered columns."""
         rows = self.sheet.rows
-        for row in rows[: max(start, 0)]:
+        for row in rows[: max(header_row, 0)]:
             self._process_other_line(row)
-        if start < 0:
-            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
+        if header_row < 0:
+            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
-        return self._read_rows(rows[max(start, 0) :])
+        return self._read_rows(rows[max(header_row, 0) :])
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
@@ -279,7 +284,7 @@ class _SheetReader:
                 raise SourceLocation(self.sheet.file, row.line).error(message)
         self.table.positional = True
         self._start_header([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
-        return self._read_rows(self.sheet.rows, every=True)
+        return self._read_rows(self.sheet.rows, reads_all=True)
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
@@ -293,20 +298,20 @@ class _SheetReader:
         self.columns = columns
         self.wanted = [c.position for c in columns if c.role in READING_ROLES]
 
-    def _read_rows(self, rows: Sequence[SheetRow], *, every: bool = False) -> PointingTable:
-        last = len(rows) - 1
+    def _read_rows(self, rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
+        last_index = len(rows) - 1
         for i, row in enumerate(rows):
-            measured = (every and not row.is_comment) or self._is_measured(row)
+            measured = (reads_all and not row.is_comment) or self._is_measured(row)
             again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self._start_header(again, row.line)
             elif row.is_comment or not measured:
                 self._process_other_line(row)
-            elif i < last or not self.sheet.has_incomplete_end:
+            elif i < last_index or not self.sheet.has_incomplete_end:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert_rows()
-                self.sheet.require_complete_end(len(self.columns), strict=self.table.positional)
+                self.sheet.require_complete_end(len(self.columns), requires_all=self.table.positional)
                 self._add_pointing(row)
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
@@ -367,11 +372,11 @@ class _SheetReader:
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     """Warnings about columns whose role is already taken by another column."""
     taken = {c.role: c.title for c in columns if c.role}
-    lost = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
+    unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
         f"column '{quoted_text(title)}' is a further column, because the {role} is read from "
         f"'{quoted_text(taken[role])}'"
-        for title, role in lost
+        for title, role in unused_columns
         if role in taken
     ]
 

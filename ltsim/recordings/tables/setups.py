@@ -88,10 +88,10 @@ def _position_numbers(table: PointingTable) -> Ints:
     return np.array(numbers_of_places)
 
 
-def _position_tolerance(role: str, largest: float, lengths: float) -> float:
+def _position_tolerance(role: str, max_distance: float, lengths: float) -> float:
     if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if largest > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
-    return MAX_SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
+        return MAX_SAME_ANGLE if max_distance > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
+    return MAX_SAME_PLACE_RATIO * max(lengths, max_distance, 1e-9)
 
 
 MAX_NAMES_IN_SETUP_NOTE = 4
@@ -114,19 +114,26 @@ decimetres.
 OccupationKey = tuple[str, ...]
 
 
-def common_target_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
+def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[str]]:
     """Target name of each pointing, common to all set-ups, and notes on the changes.
 
     The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
     Names that differ in case, blanks or leading zeros are one name if no set-up has both.
     """
-    sightings, row = indices_by_value(zip(printed.station, printed.target, strict=True))
+    sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
-    bare = [_without_station_name(station, target) for station, target in sightings]
-    if all(bare) and len({*stations}) > 1 and not _shared_names(stations, targets) and _shared_names(stations, bare):
-        notes.append(f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{bare[0]}'")
-        targets = bare
+    plain_names = [_without_station_name(station, target) for station, target in sightings]
+    if (
+        all(plain_names)
+        and len({*stations}) > 1
+        and not _shared_names(stations, targets)
+        and _shared_names(stations, plain_names)
+    ):
+        notes.append(
+            f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{plain_names[0]}'"
+        )
+        targets = plain_names
     places: dict[str, set[str]] = {}
     for station, target in zip(stations, targets, strict=True):
         places.setdefault(target, set()).add(station)
@@ -161,8 +168,8 @@ def _shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
 
 def normalised_name(name: str) -> str:
     """Name of a target without differences of case, blanks and leading zeros."""
-    bare = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
-    return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
+    plain_name = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
+    return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", plain_name))
 
 
 def split_occupations(
@@ -176,18 +183,18 @@ def split_occupations(
 
     Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
-    printed = table.pointings
+    pointings = table.pointings
     occupations: Sequence[OccupationKey]
-    occupations, of_occupation = indices_by_value(zip(printed.station, _occupation_numbers(table), strict=True))
+    occupations, of_occupation = indices_by_value(zip(pointings.station, _occupation_numbers(table), strict=True))
     distinct, code = occupations, of_occupation
     turned, orientations = False, None
     if table.column(("round",)) is not None:
-        by_round, of_round = indices_by_value(zip(of_occupation.tolist(), printed.round, strict=True))
+        by_round, of_round = indices_by_value(zip(of_occupation.tolist(), pointings.round, strict=True))
         turned = _has_rotated_circle(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
     elif is_total_station:
-        _, sight = indices_by_value(zip(of_occupation.tolist(), printed.target, printed.face, strict=True))
+        _, sight = indices_by_value(zip(of_occupation.tolist(), pointings.target, pointings.face, strict=True))
         orientations = circle_orientations(of_occupation, sight, readings)
         if orientations is not None:
             by_number, code = indices_by_value(zip(of_occupation.tolist(), orientations.tolist(), strict=True))
@@ -195,13 +202,13 @@ def split_occupations(
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
         return set(), []
-    before: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     names: list[str] = []
     for station, *_ in distinct:
-        names.append(numbered_name(station, before[station]))
-        before[station] += 1
+        names.append(numbered_name(station, counts[station]))
+        counts[station] += 1
     table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
-    printed.station = [names[i] for i in code.tolist()]
+    pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
         by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
@@ -240,11 +247,11 @@ def _has_rotated_circle(
     The median difference counts, so that a single gross error has no effect. It must exceed `MIN_CIRCLE_ROTATION`, or
     `MIN_ROTATION_SIGMAS` times the noise in the table.
     """
-    printed = table.pointings
+    pointings = table.pointings
     first: dict[tuple[object, ...], tuple[int, float, float]] = {}
     gaps: dict[int, list[tuple[float, float]]] = {}
     numbers = (of_occupation.tolist(), of_round.tolist(), azimuth.tolist(), sigma.tolist())
-    for target, face, stay, key, turn, noise in zip(printed.target, printed.face, *numbers, strict=True):
+    for target, face, stay, key, turn, noise in zip(pointings.target, pointings.face, *numbers, strict=True):
         other, before, before_noise = first.setdefault((stay, target, face), (key, turn, noise))
         if other != key and np.isfinite(turn - before):
             gap = float(np.remainder(turn - before + np.pi, 2 * np.pi) - np.pi)
@@ -322,10 +329,10 @@ def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
 
     They apply to a table without a column of occupations.
     """
-    printed = table.pointings
-    days = printed.moment if table.column(("time",)) is None else [""] * len(printed)
+    pointings = table.pointings
+    days = pointings.moment if table.column(("time",)) is None else [""] * len(pointings)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
-    targets = [f"to {target} {day}".strip() for target, day in zip(printed.target, days, strict=True)]
+    targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
 

@@ -89,16 +89,20 @@ class TextRows(Sequence[SheetRow]):
     def __iter__(self) -> Iterator[SheetRow]:
         return starmap(self._row, self._lines)
 
-    def _row(self, number: int, line: str) -> SheetRow:
+    def _row(self, line_number: int, line: str) -> SheetRow:
         if "#" in line and line.lstrip().startswith("#"):
-            return SheetRow(number, _split_fields(line.lstrip().lstrip("#"), self._separator), is_comment=True)
-        return SheetRow(number, _split_fields(line, self._separator))
+            return SheetRow(line_number, _split_fields(line.lstrip().lstrip("#"), self._separator), is_comment=True)
+        return SheetRow(line_number, _split_fields(line, self._separator))
 
     @property
     def rows_with_comma_and_point(self) -> TextRows:
         """Rows that may have a field with both a comma and a point."""
-        whole = self._separator == ","  # fields then hold commas in quotes alone
-        mixed = [line for line in self._lines if "," in line[1] and "." in line[1] and ('"' in line[1] or not whole)]
+        is_comma_separated = self._separator == ","  # fields then hold commas in quotes alone
+        mixed = [
+            line
+            for line in self._lines
+            if "," in line[1] and "." in line[1] and ('"' in line[1] or not is_comma_separated)
+        ]
         return TextRows(mixed, self._separator)
 
 
@@ -120,12 +124,12 @@ class TableSheet:
         rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
         return thousands_separator((row.fields for row in rows), self.file)
 
-    def require_complete_end(self, width: int, *, strict: bool = False) -> None:
+    def require_complete_end(self, width: int, *, requires_all: bool = False) -> None:
         """Check that the last line is complete: it has a line break or ends like the line before it.
 
         Raises RecordError.
 
-        `strict` requires the line break, for files written by programs.
+        `requires_all` requires the line break, for files written by programs.
         """
         if not self.has_incomplete_end:
             return
@@ -133,7 +137,7 @@ class TableSheet:
         earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
         before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
-        if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
+        if requires_all or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
             raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 
@@ -166,21 +170,21 @@ def read_sheets(path: Path) -> list[TableSheet]:
 
 def read_text_sheet(file: Path) -> TableSheet:
     """Sheet of a text file; raises RecordError."""
-    lines = read_lines(file, liberal=True)
+    lines = read_lines(file, replaces_undecodable=True)
     return TableSheet(file, _non_blank_rows(lines, file), file.stem, has_incomplete_end=bool(lines[-1]))
 
 
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     """Rows of the lines that are not blank; raises RecordError for a line with too many fields."""
     separator = _detect_separator(lines)
-    held = []
+    rows = []
     for i, line in enumerate(lines):
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not says_separator:
             if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
-            held.append((i + 1, line))
-    return TextRows(held, separator)
+            rows.append((i + 1, line))
+    return TextRows(rows, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
@@ -218,9 +222,9 @@ def _detect_separator(lines: Sequence[str]) -> str:
     )
 
 
-def _count_values(lines: Sequence[str], separator: str, least: int) -> int:
-    """Largest number of cells with values in lines of equal width with at least `least` columns."""
-    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= least]
+def _count_values(lines: Sequence[str], separator: str, min_values: int) -> int:
+    """Largest number of cells with values in lines of equal width with at least `min_values` columns."""
+    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_values]
     test = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
     for fields in rows:
@@ -309,9 +313,9 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(what, file=file) from None
 
 
-def _check_workbook_parts(file: Path, packed: io.BytesIO) -> None:
+def _check_workbook_parts(file: Path, zipped: io.BytesIO) -> None:
     """Check of the unpacked size and of the XML depth of a workbook; raises RecordError."""
-    with zipfile.ZipFile(packed) as archive:
+    with zipfile.ZipFile(zipped) as archive:
         parts = archive.infolist()
         if len(parts) > MAX_WORKBOOK_PARTS:
             raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)

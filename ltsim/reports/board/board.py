@@ -143,8 +143,8 @@ class MovableLayout:
             raise SetupError(f"a layout has {MIN_LAYOUT_STATIONS} to {MAX_LAYOUT_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(STATION_NAME_PATTERN, name) for name in names):
             raise SetupError("each station needs a different name of letters, digits, points and hyphens")
-        before = survey.station_names
-        like = [before.index(name) if name in before else k % len(before) for k, name in enumerate(names)]
+        old_names = survey.station_names
+        like = [old_names.index(name) if name in old_names else k % len(old_names) for k, name in enumerate(names)]
         return survey.replace(
             station_names=names,
             station_positions=place * MILLIMETRE,
@@ -246,6 +246,6 @@ def _obstacle_path(obstacles: Any) -> str:
     first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     flat = np.where(area[:, None, None] < 0, flat[:, ::-1], flat)  # equal orientation, else overlaps would be holes
-    largest = np.argsort(-np.abs(area), kind="stable")[:MAX_DRAWN_TRIANGLES]
-    shown = np.round(flat[largest[area[largest] != 0]], 3).tolist()
+    largest_indices = np.argsort(-np.abs(area), kind="stable")[:MAX_DRAWN_TRIANGLES]
+    shown = np.round(flat[largest_indices[area[largest_indices] != 0]], 3).tolist()
     return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in shown)

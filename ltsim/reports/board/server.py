@@ -108,7 +108,7 @@ class PlannerRequests:
         """True if a path begins with the token."""
         return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
 
-    def respond(self, method: str, path: str, body: bytes) -> HttpResponse:
+    def respond(self, method: str, path: str, request_body: bytes) -> HttpResponse:
         """Answer to a request; status 404 without the token."""
         name = path.removeprefix("/").partition("/")[2]
         if not self.has_token(path) or (name and name not in self._handlers):
@@ -119,7 +119,7 @@ class PlannerRequests:
             return HttpResponse(HTTPStatus.OK, "text/html", self.page_html().encode())
         status = HTTPStatus.OK
         try:
-            question = LayoutRequest.model_validate_json(body)
+            question = LayoutRequest.model_validate_json(request_body)
             content = self._handlers[name]([station.model_dump() for station in question.stations], question)
         except ValidationError as problem:
             first = problem.errors(include_url=False, include_input=False)[0]
@@ -189,9 +189,9 @@ class _RequestHandler(BaseHTTPRequestHandler):
         body = self.rfile.read(int(lengths[0]))
         return body if len(body) == int(lengths[0]) else HttpResponse(HTTPStatus.REQUEST_TIMEOUT)
 
-    def _response_of_serving_thread(self, body: bytes) -> HttpResponse:
+    def _response_of_serving_thread(self, request_body: bytes) -> HttpResponse:
         future: Future[HttpResponse] = Future()
-        self.work_queue.put((future, self.command, self.path, body))
+        self.work_queue.put((future, self.command, self.path, request_body))
         return future.result()
 
     def _send_response(self, response: HttpResponse) -> None:
@@ -262,9 +262,9 @@ def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], N
             server.shutdown()
 
 
-def _respond_or_report(requests: PlannerRequests, method: str, path: str, body: bytes) -> HttpResponse:
+def _respond_or_report(requests: PlannerRequests, method: str, path: str, request_body: bytes) -> HttpResponse:
     try:
-        return requests.respond(method, path, body)
+        return requests.respond(method, path, request_body)
     except Exception as problem:  # internal error: shown by the page, the server continues
         words = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
         content = json.dumps({"problem": words}).encode()

@@ -147,7 +147,12 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
 
 @style.with_figure_style
 def factor_panels_figure(
-    rows: Sequence[SweepPoint], *, label: str, axis: str, published: float | None = None, joins_points: bool = True
+    rows: Sequence[SweepPoint],
+    *,
+    label: str,
+    axis: str,
+    published_value: float | None = None,
+    joins_points: bool = True,
 ) -> Figure:
     """Panels with common axes: means with 95 % intervals; the central 90 % of the trials shaded.
 
@@ -158,7 +163,7 @@ def factor_panels_figure(
         The statistic with its unit.
     axis : str
         The factor along the lines, with its unit.
-    published : float, optional
+    published_value : float, optional
         A published value to compare with.
     joins_points : bool
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
@@ -173,14 +178,14 @@ def factor_panels_figure(
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
             points = [row for row in rows if (row.panel, row.line) == (panel, name)]
-            _draw_line(ax, points, _axis_positions(points, words, (k + 0.5) / len(names)), k, joined=joins_points)
-        if published is not None:
-            ax.axhline(published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+            _draw_line(ax, points, _axis_positions(points, words, (k + 0.5) / len(names)), k, is_joined=joins_points)
+        if published_value is not None:
+            ax.axhline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         if joins_points:
             ax.set_title(style.shortened_name(panel, 44 if across < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
-        _set_axis_ticks(ax, [row.level for row in rows if row.panel == panel], words, joined=joins_points)
+        _set_axis_ticks(ax, [row.level for row in rows if row.panel == panel], words, is_joined=joins_points)
         style.set_grid(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
@@ -198,39 +203,45 @@ def _axis_positions(rows: Sequence[SweepPoint], level_texts: Sequence[str], offs
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
 
-def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, k: int, *, joined: bool) -> None:
+def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int, *, is_joined: bool) -> None:
     if not rows:
         return
     order = np.argsort(place, kind="stable")
     x, mean = place[order], np.array([rows[i].mean for i in order])
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
-    colour = style.COLOUR_CYCLE[k % len(style.COLOUR_CYCLE)]
+    colour = style.COLOUR_CYCLE[number % len(style.COLOUR_CYCLE)]
     p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     trials = bool(np.any(p05 < p95))
-    if joined and not isinstance(rows[0].level, str) and trials:
+    if is_joined and not isinstance(rows[0].level, str) and trials:
         ax.fill_between(
-            x, p05, p95, color=colour, alpha=0.12, linewidth=0, label=CENTRAL_90_PERCENT_LABEL if k == 0 else None
+            x,
+            p05,
+            p95,
+            color=colour,
+            alpha=0.12,
+            linewidth=0,
+            label=CENTRAL_90_PERCENT_LABEL if number == 0 else None,
         )
     words = "mean, 95 % interval" if trials else "95 % interval"  # a share has no trials
-    label = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
+    label = (f"{rows[0].line}: {words}" if number == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
-        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
-        linestyle=("-" if joined else "none"), elinewidth=2.4, label=label,
+        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[number % len(style.MARKERS)],
+        markersize=4.5, linestyle=("-" if is_joined else "none"), elinewidth=2.4, label=label,
     )  # fmt: skip
 
 
-def _set_axis_ticks(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
+def _set_axis_ticks(ax: Axes, places: Sequence[float | str], tick_labels: Sequence[str], *, is_joined: bool) -> None:
     """Set ticks at the levels, and a logarithmic axis if they span about a decade."""
-    if words:
-        ax.set_xticks(range(len(words)), [style.shortened_name(word, 18) for word in words])
-        ax.set_xlim(-0.5, len(words) - 0.5)
+    if tick_labels:
+        ax.set_xticks(range(len(tick_labels)), [style.shortened_name(word, 18) for word in tick_labels])
+        ax.set_xlim(-0.5, len(tick_labels) - 0.5)
         return
     levels = sorted({float(x) for x in places if not isinstance(x, str)})
     logarithmic = levels[0] > 0 and levels[-1] >= 8 * levels[0]
     if logarithmic:
         ax.set_xscale("log")
         ax.minorticks_off()
-    if joined and len(levels) <= 8:
+    if is_joined and len(levels) <= 8:
         ticks = levels
     elif logarithmic:
         decades = range(math.floor(math.log10(levels[0])), math.ceil(math.log10(levels[-1])) + 1)
@@ -247,7 +258,7 @@ MAX_SETTING_ROWS = 40
 
 
 @style.with_figure_style
-def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published: float | None = None) -> Figure:
+def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
     """Figure with a row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
 
     Parameters
@@ -256,7 +267,7 @@ def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published: fl
         `level` is the setting, `line` the method.
     label : str
         The statistic with its unit.
-    published : float, optional
+    published_value : float, optional
         A published value to compare with.
     """
     settings = list(dict.fromkeys(str(row.level) for row in rows))[:MAX_SETTING_ROWS]
@@ -271,8 +282,8 @@ def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published: fl
         ax.hlines(y, [r.quantile_05 for r in mine], [r.quantile_95 for r in mine], color=colour, lw=0.9, label=ninety)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
-    if published is not None:
-        ax.axvline(published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+    if published_value is not None:
+        ax.axvline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     ax.set_xlabel(label)
     style.add_legend(figure, [ax], n_columns=2)
     return figure
@@ -346,8 +357,10 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
     n, z2 = row.trials, NORMAL_QUANTILE_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
-    half = NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
-    return float(centre - half), float(centre + half)
+    half_width = (
+        NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
+    )
+    return float(centre - half_width), float(centre + half_width)
 
 
 def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:

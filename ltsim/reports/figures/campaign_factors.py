@@ -58,14 +58,14 @@ def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
 
 
 def statistic_figures(
-    results: CampaignResults, spreads: Sequence[StatisticSummary], label: str, published: float | None
+    results: CampaignResults, spreads: Sequence[StatisticSummary], label: str, published_value: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Captions and figures of a statistic.
 
     Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
     """
     factors, several = varying_factors(results), f"{results.manifest.trials} trials per setting."
-    how: dict[str, Any] = {"label": label, "published": published}
+    how: dict[str, Any] = {"label": label, "published_value": published_value}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     of_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
@@ -118,11 +118,11 @@ def factor_arrangement(
     """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
     levels = {f.name: len(set(levels_of_cells(results, f))) for f in factors}
     along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
-    rest = [f for f in factors if f is not along]
-    if len(results.manifest.methods) > 1 or not rest:
-        return along, None, rest
-    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
-    return along, across, [f for f in rest if f is not across]
+    other_factors = [f for f in factors if f is not along]
+    if len(results.manifest.methods) > 1 or not other_factors:
+        return along, None, other_factors
+    across = max(other_factors, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
+    return along, across, [f for f in other_factors if f is not across]
 
 
 def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:
@@ -130,5 +130,7 @@ def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.level_text(value)
 
 
-def _sweep_point(s: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
-    return SweepPoint(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
+def _sweep_point(summary: StatisticSummary, x: float | str, line: str, panel: str) -> SweepPoint:
+    return SweepPoint(
+        x, line, panel, summary.mean, summary.low, summary.high, summary.quantiles[1], summary.quantiles[5]
+    )

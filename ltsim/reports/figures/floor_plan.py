@@ -78,7 +78,7 @@ MAX_LISTED_STATIONS = 16
 MAX_NAMES_PER_LABEL = 4
 """Number of targets above each other from which a label names only the first."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
-"""Distance within which targets share a label, over the size of the floor."""
+"""Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
 """Width of the axes [inch]."""
 FLOOR_PLAN_HEIGHTS = (3.6, 6.6)
@@ -229,20 +229,20 @@ def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
     return visible
 
 
-def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
+def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools) -> None:
     """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.target_points[:, :2].T
     size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
     label = "target: slices are the\nstations that see it"
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK_COLOUR, linewidths=0.7, zorder=4, label=label)
-    turn = 2 * np.pi / len(visible)
-    for s, sees in enumerate(visible):
+    turn = 2 * np.pi / len(is_visible)
+    for s, sees in enumerate(is_visible):
         angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
         reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
         look = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.COLOUR_CYCLE[s]}
         ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **look)
-    none = ~visible.any(axis=0)
+    none = ~is_visible.any(axis=0)
     if none.any():
         ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
 

@@ -251,14 +251,14 @@ def values_figure(
 
 @style.with_figure_style
 def lines_figure(
-    at: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], axis: str, label: str
+    positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], axis: str, label: str
 ) -> Figure:
-    """Lines over a quantity `at` (n,), with an interval at every point."""
+    """Lines over a quantity `positions` (n,), with an interval at every point."""
     figure, ax = style.new_panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
         half = np.maximum([value - low, high - value], 0.0)
-        ax.errorbar(at, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
+        ax.errorbar(positions, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
     ax.set_xlabel(typographic_text(axis))
     ax.set_ylabel(typographic_text(label))
     style.set_grid(ax, grid_axis="both")

@@ -15,6 +15,7 @@ from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
 
 MAX_STATION_PANELS = 30
+"""Largest number of stations of a figure with one panel each."""
 MAX_VECTOR_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND_HALF_WIDTH_SIGMAS = 1.96
@@ -46,14 +47,14 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 
 
 @style.with_figure_style
-def residuals_by_station_figure(after: Residuals, before: Residuals | None = None) -> Figure:
+def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
-    shown = [name for name in OBSERVABLES if after.is_observable(name).any()]
-    stations = after.stations[:MAX_STATION_PANELS]
+    shown = [name for name in OBSERVABLES if plotted.is_observable(name).any()]
+    stations = plotted.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    sides = [(after, 0.18 if before else 0.0, style.COLOUR_AFTER, "after")]
-    sides += [(before, -0.18, style.COLOUR_BEFORE, "before")] if before is not None else []
+    sides = [(plotted, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
+    sides += [(reference, -0.18, style.COLOUR_BEFORE, "before")] if reference is not None else []
     for ax, observable in zip(axes, shown, strict=True):
         for residuals, shift, colour, word in sides:
             for place, station in enumerate(stations):
@@ -76,21 +77,30 @@ def residuals_by_station_figure(after: Residuals, before: Residuals | None = Non
 
 
 @style.with_figure_style
-def signature_figure(before: Residuals, after: Residuals, covariate: str, where: FindingScope) -> Figure:
+def signature_figure(
+    without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
+) -> Figure:
     """Residuals of the observables of a finding over a covariate, without it (left) and with it (right).
 
     Dots outside the place of the finding are pale.
     """
     shown = [
-        n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.is_observable(n).any()
+        n
+        for n in OBSERVABLES
+        if (not scope.observables or n in scope.observables) and without_finding.is_observable(n).any()
     ]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    scaled = before.normalised_residual, after.normalised_by_noise_of(before).normalised_residual
+    scaled = (
+        without_finding.normalised_residual,
+        with_finding.normalised_by_noise_of(without_finding).normalised_residual,
+    )
     for line, observable in zip(grid, shown, strict=True):
-        for ax, residuals, normalised, word in zip(line, (before, after), scaled, ("without", "with it"), strict=True):
+        for ax, residuals, normalised, word in zip(
+            line, (without_finding, with_finding), scaled, ("without", "with it"), strict=True
+        ):
             rows = residuals.is_observable(observable) & np.isfinite(residuals.covariates[covariate])
-            here = rows & residuals.is_at(where.stations, where.targets)
+            here = rows & residuals.is_at(scope.stations, scope.targets)
             if (rows & ~here).any():
                 _draw_residuals(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
             _draw_residuals(
@@ -168,15 +178,15 @@ def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str,
     style.set_grid(ax, grid_axis="both")
 
 
-def _draw_running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
+def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
     """Draw the mean of the dots in about ten equally filled bins, with twice its standard error."""
-    good = np.isfinite(x) & np.isfinite(y)
-    order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
+    is_valid = np.isfinite(x) & np.isfinite(values)
+    order = np.flatnonzero(is_valid)[np.argsort(x[is_valid], kind="stable")]
     bins = np.array_split(order, min(len(order) // 12, 12)) if len(order) >= 36 else []
     if not bins:
         return
-    centre, mean = (np.array([column[b].mean() for b in bins]) for column in (x, y))
-    error = np.array([y[b].std(ddof=1) / np.sqrt(len(b)) for b in bins])
+    centre, mean = (np.array([column[b].mean() for b in bins]) for column in (x, values))
+    error = np.array([values[b].std(ddof=1) / np.sqrt(len(b)) for b in bins])
     ax.fill_between(centre, mean - 2 * error, mean + 2 * error, color=colour, alpha=0.25, linewidth=0)
     ax.plot(centre, mean, color=colour, linewidth=1.4, label=label)
 

@@ -122,7 +122,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         assessment="plain" if needs_constants else "caution" if good and _has_fault(content) else assessment_of(good),
         key_figures=_key_figures(content, agrees=agrees),
         blocks=blocks,
-        next_actions=_next_actions(content, good=good),
+        next_actions=_next_actions(content, is_accepted=good),
         axes=content.frame,
         n_open_blocks=shown,
     )
@@ -248,7 +248,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     return entries_table("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
-def _next_actions(content: Calibration, *, good: bool) -> list[str]:
+def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first."""
     actions = cause_actions(test for test in content.tests if test.kind != "outlier")
     remaining = [o for o in content.outliers if not o.excluded]
@@ -268,7 +268,7 @@ def _next_actions(content: Calibration, *, good: bool) -> list[str]:
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
     actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]
-    if content.parameters and good and not actions:
+    if content.parameters and is_accepted and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 

@@ -116,8 +116,8 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean_text(s: StatisticSummary, level: str = "95 %: ") -> str:
-    return f"{number_text(s.mean)} ({level}{number_text(s.low)} to {number_text(s.high)})"
+def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
+    return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
 
 def _answer_sentence(
@@ -159,8 +159,8 @@ def _extreme_cells_sentence(results: CampaignResults, spreads: Mapping[str, list
     return f" The error of the targets is smallest with {first} and largest with {last}."
 
 
-def _list_text(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+def _list_text(items: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
 
 
 def _key_figures(
@@ -215,14 +215,14 @@ def _means_by_level_table(results: CampaignResults, spreads: Mapping[str, list[S
 
 
 def _improvement_figures(
-    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], published: Mapping[str, float]
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], published_values: Mapping[str, float]
 ) -> list[Block]:
     """Figures of means with intervals over the settings, compared with the published values."""
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
     for column, label in STATISTIC_LABELS.items():
-        rows, paper = spreads.get(column, []), published.get(column)
+        rows, paper = spreads.get(column, []), published_values.get(column)
         for text, figure in statistic_figures(results, rows, label, paper) if rows else ():
             outside = [s for s in rows if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
             where = f"outside in {len(outside)} of {len(rows)} settings" if outside else "inside in every setting"
@@ -244,26 +244,29 @@ def campaign_figure(results: CampaignResults) -> Figure:
     return distributions_figure(_trial_distributions(results, {}))
 
 
-def _trial_distributions(results: CampaignResults, published: Mapping[str, float]) -> list[TrialDistribution]:
+def _trial_distributions(results: CampaignResults, published_values: Mapping[str, float]) -> list[TrialDistribution]:
     """Distributions of the criteria, or of other errors, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
-    wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
-    wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
+    columns_used = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
+    columns_used.sort(
+        key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord"))
+    )
     values = {
-        c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN_TRIALS) for c in wanted
+        c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN_TRIALS)
+        for c in columns_used
     }
     return [
-        TrialDistribution(_column_label(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        TrialDistribution(_column_label(c), v, "um" if c.endswith("_um") else "%", published_values.get(c))
         for c, v in values.items()
         if len(v) > 1
     ]
 
 
-def _distribution_figures(results: CampaignResults, published: Mapping[str, float]) -> list[Block]:
+def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
     """Histograms of the criteria of the first method, if there is one setting."""
-    rows = [] if len(results.levels) > 1 else _trial_distributions(results, published)
-    caption = "Dashed: published values, with the share of trials below them." if published else ""
+    rows = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
+    caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
     return [PictureBlock(title, partial(distributions_figure, rows), caption)] if rows else []
 
@@ -327,8 +330,16 @@ def _statistic_tables(
 ) -> list[Block]:
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
-    more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = _settings_table(results, cells.with_columns(" ".join(name for name in cells.header if name not in more)))
+    extra_fields = {
+        "cell",
+        "deviation",
+        "least",
+        "largest",
+        *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
+    }
+    shown = _settings_table(
+        results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
+    )
     means = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in spreads]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import MISSING_TEXT, number_text
@@ -126,25 +126,27 @@ def _next_actions(content: Diagnosis) -> list[str]:
         return []
     separate = [as_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     inspect = [_inspection_action(finding) for finding in content.findings]
-    use = "Use the coordinates in targets.csv, which account for the findings."
+    use = "Use the coordinates in targets.csv, which account for the findings"
+    moved = [name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets]
+    use += f"; those of {listing(moved)} are from before the motion." if moved else "."
     return [*separate[:1], *dict.fromkeys(inspect[: MAX_INSPECTION_ACTIONS - len(separate[:1])]), use]
 
 
 def _inspection_action(finding: Finding) -> str:
     """Action at the place of a finding."""
-    where = finding.where
-    trackers = [f"instrument {name}" for name in where.instruments]
-    place = listing([*trackers, *where.stations, *where.targets])
+    scope = finding.where
+    trackers = [f"instrument {name}" for name in scope.instruments]
+    place = listing([*trackers, *scope.stations, *scope.targets])
     if _is_name_exchange(finding):
-        names = listing(where.targets)
-        if not where.stations:
+        names = listing(scope.targets)
+        if not scope.stations:
             return f"Exchange the reference coordinates of {names} in setup.toml."
-        return f"Exchange the names {names} at {listing(where.stations)}."
+        return f"Exchange the names {names} at {listing(scope.stations)}."
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
     if finding.carrier.startswith("reference"):
         return f"Check the {finding.carrier} ({place or 'all of them'})."
-    follows = f" with {listing(where.covariates)}" if where.covariates else ""
+    follows = f" with {listing(scope.covariates)}" if scope.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{follows}"
     title = title_of(finding.effect) if finding.is_catalogued else f"a {change}"
     action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
@@ -237,7 +239,9 @@ def _finding_blocks(
     return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", lines)]
 
 
-def finding_figure(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
+def finding_figure(
+    finding: Finding, without_finding: Residuals | None, with_finding: Residuals | None
+) -> Callable[[], Figure] | None:
     """Figure of a finding: its response over its regressor if it has a curve.
 
     Otherwise the residuals without and with the finding.
@@ -246,19 +250,27 @@ def finding_figure(finding: Finding, before: Residuals | None, after: Residuals 
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MAX_STEP_POINTS:
-        return lambda: figures.residuals.response_curve_figure(curve, finding.carrier, before)
+        return lambda: figures.residuals.response_curve_figure(curve, finding.carrier, without_finding)
     is_mistake = finding.evidence.p_value is None
-    if before is None or after is None or is_mistake or np.array_equal(before.residual, after.residual):
+    if (
+        without_finding is None
+        or with_finding is None
+        or is_mistake
+        or np.array_equal(without_finding.residual, with_finding.residual)
+    ):
         return None
-    where = finding.where
-    wanted = [
-        before.order_covariate if name == "time" else name for name in (*where.covariates, "time", "elevation", "row")
+    scope = finding.where
+    columns_used = [
+        without_finding.order_covariate if name == "time" else name
+        for name in (*scope.covariates, "time", "elevation", "row")
     ]
-    available = [name for name in wanted if name in before.covariates and name in after.covariates]
-    place = where.stations, where.targets
-    if not available or not before.is_at(*place).any() or not after.is_at(*place).any():
+    available = [
+        name for name in columns_used if name in without_finding.covariates and name in with_finding.covariates
+    ]
+    place = scope.stations, scope.targets
+    if not available or not without_finding.is_at(*place).any() or not with_finding.is_at(*place).any():
         return None
-    return lambda: figures.residuals.signature_figure(before, after, available[0], where)
+    return lambda: figures.residuals.signature_figure(without_finding, with_finding, available[0], scope)
 
 
 def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: AdjustmentPair | None) -> list[Block]:

@@ -80,22 +80,28 @@ def truth_in_folder(context: ReportContext) -> Truth | None:
     return read_truth(file) if file is not None and file.is_file() else None
 
 
-def residual_figures(after: Residuals, before: Residuals | None) -> list[Block]:
-    """Figures of residuals by station and over covariates; `before` is without the instrument's parameters."""
-    compared = " Grey: without the instrument's parameters; blue: with." if before is not None else ""
+def residual_figures(residuals: Residuals, reference: Residuals | None) -> list[Block]:
+    """Figures of residuals by station and over covariates; `reference` is without the instrument's parameters."""
+    compared = " Grey: without the instrument's parameters; blue: with." if reference is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
     drawn = PictureBlock(
-        "Residuals by station", lambda: figures.residuals.residuals_by_station_figure(after, before), text + compared
+        "Residuals by station",
+        lambda: figures.residuals.residuals_by_station_figure(residuals, reference),
+        text + compared,
     )
-    return [drawn, *residuals_over_covariates(after)]
+    return [drawn, *residuals_over_covariates(residuals)]
 
 
-def residuals_over_covariates(after: Residuals) -> list[Block]:
+def residuals_over_covariates(residuals: Residuals) -> list[Block]:
     """Figure of residuals over covariates."""
     text = "Lines: running means with twice their standard error; they stay at zero if the model is correct."
     title = "Residuals over covariates"
-    shared = set(DEFAULT_COVARIATES) & set(after.covariates)
-    return [PictureBlock(title, lambda: figures.residuals.residuals_by_covariate_figure(after), text)] if shared else []
+    shared = set(DEFAULT_COVARIATES) & set(residuals.covariates)
+    return (
+        [PictureBlock(title, lambda: figures.residuals.residuals_by_covariate_figure(residuals), text)]
+        if shared
+        else []
+    )
 
 
 def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: WorkshopDetail) -> list[Block]:

@@ -40,6 +40,7 @@ EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
 """Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
 MAX_ZERO_CONSTANT = 1e-6
+"""Constant of an effect, in its unit, up to which it is zero and is not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
@@ -287,7 +288,7 @@ def _with_short_labels(content: History) -> History:
     )
 
 
-def _course_sentence(content: History, usual: bool) -> str:
+def _course_sentence(content: History, is_usual: bool) -> str:
     since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
@@ -299,7 +300,7 @@ def _course_sentence(content: History, usual: bool) -> str:
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )
-    if usual:
+    if is_usual:
         return f"changed no more than it usually does between calibrations {tested}."
-    which = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
-    return f"has changed since the first{which} {tested}."
+    phrase = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
+    return f"has changed since the first{phrase} {tested}."

@@ -39,9 +39,9 @@ def effect_place_text(effect: Any) -> str:
 
 def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.applied_effects}
-    ordered = [named.get(f.effect) for f in content.findings]
-    ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
+    by_name = {a.effect.name: a for a in truth.applied_effects}
+    ordered = [by_name.get(f.effect) for f in content.findings]
+    ordered += [a for name, a in by_name.items() if name not in {f.effect for f in content.findings}]
     rows = [
         row
         for injected, finding in zip_longest(ordered, content.findings)
@@ -83,15 +83,15 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
 
 
 def _injected_and_estimated_curves(
-    content: Diagnosis, applied: AppliedEffect, adjustments: AdjustmentPair | None
+    content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentPair | None
 ) -> list[Block]:
-    finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
+    finding = next((f for f in content.findings if f.effect == applied_effect.effect.name), None)
     if adjustments is None or finding is None:
         return []
     estimates, sightings, injected = (
         {p.name: p.value for p in finding.parameters},
         adjustments[1].sightings,
-        applied.effect,
+        applied_effect.effect,
     )
     try:
         shape = {s.name: estimates[s.name] for s in injected.shape_parameters if s.name in estimates}
@@ -100,7 +100,7 @@ def _injected_and_estimated_curves(
         )
         values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
         true, fitted = (
-            injected.reading_change(sightings, applied.parameter_values),
+            injected.reading_change(sightings, applied_effect.parameter_values),
             effect.reading_change(sightings, values),
         )
     except LtsimError:

@@ -14,19 +14,19 @@ def builtin_names() -> tuple[str, ...]:
     return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
 
 
-def builtin_path(name: str) -> Path:
+def builtin_path(scenario_name: str) -> Path:
     """File of a built-in scenario.
 
     Raises SetupError, with the most similar names, for an unknown name.
     """
     names = builtin_names()
-    if name not in names:
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or names
+    if scenario_name not in names:
+        near = difflib.get_close_matches(scenario_name, names, n=3, cutoff=0.5) or names
         message = "there is no such file, and no built-in scenario of this name"
-        raise SetupError(f"{quoted_text(name)}: {message}; did you mean {', '.join(near)}?")
-    return Path(str(files(__name__) / f"{name}.toml"))
+        raise SetupError(f"{quoted_text(scenario_name)}: {message}; did you mean {', '.join(near)}?")
+    return Path(str(files(__name__) / f"{scenario_name}.toml"))
 
 
-def builtin_text(name: str) -> str:
+def builtin_text(scenario_name: str) -> str:
     """Commented file of a built-in scenario, as a template; raises SetupError."""
-    return builtin_path(name).read_text(encoding="utf-8")
+    return builtin_path(scenario_name).read_text(encoding="utf-8")

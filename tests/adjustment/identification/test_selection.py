@@ -21,9 +21,9 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.library import shift_candidates
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
+from ltsim.adjustment.identification.nominal_offsets import usual_smr_text
 from ltsim.adjustment.identification.screen import _distance_trial_hypotheses
 from ltsim.adjustment.identification.selection import _refine_motion_time
-from ltsim.adjustment.identification.tests import usual_smr_text
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints

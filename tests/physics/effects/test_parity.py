@@ -22,6 +22,7 @@ from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.range_step import RangeStep
+from ltsim.physics.effects.reflector_constant import ReflectorConstant
 from ltsim.physics.effects.refractivity_drift import RefractivityDrift
 from ltsim.physics.effects.smr_centring import SmrCentring
 from ltsim.physics.effects.smr_dihedral import SmrDihedral
@@ -46,6 +47,7 @@ PARITY: list[tuple[Effect, list[float]]] = [
     (BearingWobble(kind="transit", order=2), [FLIPS, SAME]),
     (HeadSag(), [SAME]),
     (RangeStep(("S2",), time=0.0), [SAME]),
+    (ReflectorConstant(("S2",)), [SAME]),
     (StationWeather(("S2",)), [SAME]),
     (RangeCyclic(), [SAME, SAME]),
     (RefractivityDrift(), [SAME]),

@@ -25,6 +25,7 @@ from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
     Regressor,
     group_amounts_regressor,
+    piecewise_regressor,
     scalar_regressor,
     smooth_regressor,
 )
@@ -259,7 +260,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         ("distance", scalar_regressor("station-time", "decay", 600.0), ("S2",), "range-drift"),
         ("distance", scalar_regressor("distance", "power"), (), "unknown"),
         ("distance", CONSTANT_REGRESSOR, (), "range-offset"),
-        ("distance", CONSTANT_REGRESSOR, ("S2",), "range-step"),
+        ("distance", CONSTANT_REGRESSOR, ("S2",), "reflector-constant"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
         ("elevation", Regressor("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
         ("azimuth", Regressor("wave", ("azimuth",), constant=1.0), (), "unknown"),
@@ -268,3 +269,19 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
 )
 def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
     assert catalogue_name(EmpiricalLaw(stations, (), RESPONSES_BY_NAME[carrier][0], driver)) == name
+
+
+@pytest.mark.parametrize(
+    ("targets", "driver", "name"),
+    [
+        (("T1",), scalar_regressor("time", "step", 600.0), "target-moved"),
+        (("T1",), scalar_regressor("time", "power"), "target-moved"),
+        (("T1",), piecewise_regressor([scalar_regressor("time", "step", 600.0)]), "target-moved"),
+        (("T1",), piecewise_regressor([scalar_regressor("time", "step", t) for t in (6.0, 9.0)]), "unknown"),
+        (("T1",), scalar_regressor("time", "decay", 600.0), "target-moved"),
+        (("T1", "T2"), scalar_regressor("time", "step", 600.0), "unknown"),
+        (("T1",), scalar_regressor("distance", "power"), "unknown"),
+    ],
+)
+def test_a_step_or_creep_of_one_target_is_a_moved_target(targets, driver, name):
+    assert catalogue_name(EmpiricalLaw((), targets, RESPONSES_BY_NAME["place of targets"][0], driver)) == name

@@ -1,0 +1,241 @@
+"""Hypotheses of centring errors: all reflectors at one set-up, or one target at all set-ups, are displaced at random.
+
+The displacements u of the occupations have the prior N(0, s^2). In the residual space, with the projected signature Z
+of unit displacements, eigenvalues d of Z'Z and scores z = V'Z'r along its eigenvectors, the log restricted likelihood
+ratio of the variance component s^2 is
+
+    log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
+
+A reflector of another radius is such a cause at all targets of a set-up: along the normals of unknown nests the
+displacements have one length.
+
+References
+----------
+Patterson and Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58 (1971) 545.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ltsim.adjustment.identification.evidence import (
+    LOG_ODDS_OF_CENTRING,
+    log_occam_factor_of_shift,
+    log_occam_factor_of_variance,
+    log_prior_of,
+)
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import MILLIMETRE
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.signature import design_from_displacements
+from ltsim.recordings.centring_errors import CentringUncertainty
+from ltsim.recordings.occupations import target_occupations
+from ltsim.recordings.recording import Recording
+
+MIN_OCCUPATIONS = 4
+"""Smallest number of occupations that are displaced at random; fewer single displacements explain as much."""
+MIN_POINTINGS_PER_OCCUPATION = 1.5
+"""Smallest mean number of pointings in an occupation: displacements without repeats are noise."""
+MIN_OUTLIER_FRACTION = 0.25
+"""Fraction of pointings with an outlier at a place from which displacements are fitted to its readings alone."""
+N_LOCAL_ITERATIONS = 4
+"""Number of Gauss-Newton iterations of such a fit; each reduces an error by the ratio of displacement and range."""
+MAX_CENTRING_ENTRIES = 3_000_000
+"""Largest number of entries of all signatures; beyond it the places with the largest residuals are tested (cost)."""
+CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
+"""Standard deviations [m] of centring errors that are tried, in steps of 6 %: an estimate from a hundred components has
+a standard deviation of 7 %.
+"""
+MAX_RELATIVE_LENGTH_SCATTER = 0.1
+"""Largest scatter of the lengths of displacements, relative to their rms, at which they count as equal."""
+MAX_LENGTH_RATIO = 3.0
+"""Largest ratio of a common length to the rms of the displacements: displacements of any size are nearly on the surface
+of a sphere that is much larger.
+"""
+MIN_TARGETS_FOR_LENGTH = 10
+"""Smallest number of targets that show a common length: the pose of the set-up and the length are seven unknowns."""
+N_LENGTH_ITERATIONS = 30
+"""Number of Gauss-Newton iterations of a common length."""
+
+
+@dataclass(frozen=True)
+class _CentringPlace:
+    """Place at which centring errors are tested, and the occupation (n,) of its pointings, -1 elsewhere."""
+
+    centring: CentringUncertainty
+    occupation: Ints
+
+
+def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+    """Hypotheses of centring errors with their gains of log evidence in a residual space of a fit."""
+    places = _centring_places(fit.recording, space.used_readings)
+    squares = np.zeros(space.used_readings.shape)
+    squares[space.used_readings] = space.residuals[: int(space.used_readings.sum())] ** 2
+    largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
+    offers, entries = list[tuple[float, Hypothesis]](), 0
+    for place in largest_first:
+        entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
+        if entries > MAX_CENTRING_ENTRIES:
+            break
+        offers.append(_offer(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
+    return offers
+
+
+def _offer(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> tuple[float, Hypothesis]:
+    """Hypothesis at a place with a standard deviation [m], and its gain with the prior."""
+    centring, prior = place.centring, log_prior_of("centring", n_places) + LOG_ODDS_OF_CENTRING
+    change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
+    targets = () if centring.stations else centring.targets
+    return gain + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
+
+
+def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
+    """Hypotheses of centring errors with their gains, from the outliers at their places and the network unchanged.
+
+    Large displacements are not linear, and a network that they distort rejects their readings.
+    """
+    places = _centring_places(fit.recording, fit.problem_with_all_readings.used_readings)
+    offers = []
+    for place in places:
+        rows = np.flatnonzero(place.occupation >= 0)
+        if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION:
+            offers.append(_offer(place, *_local_gain(fit, place, rows), len(places)))
+    return offers
+
+
+def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
+    """Gain of log evidence by the displacements of a place on its rows, and their standard deviation [m].
+
+    They are fitted by Gauss-Newton to the readings of each occupation. The pose of a set-up absorbs a common motion.
+    """
+    used, sigma = fit.problem_with_all_readings.used_readings[rows], fit.problem.sigma[rows]
+    sightings, of = fit.adjustment.sightings, place.occupation[rows]
+    first = np.unique(of, return_index=True)[1]
+    displacement = np.zeros((len(first), 3))
+    residual = np.where(used, fit.residuals[rows], 0.0)
+    for _ in range(N_LOCAL_ITERATIONS):
+        moved = np.zeros((len(place.occupation), 3))
+        moved[rows] = displacement[of]
+        offsets = moved if sightings.reflector_offsets is None else moved + sightings.reflector_offsets
+        residual = np.where(used, (fit.residuals - exact_target_change(sightings, moved))[rows], 0.0)
+        slope = replace(sightings, reflector_offsets=offsets).target_derivatives[rows] / sigma[:, :, None]
+        slope = np.where(used[:, :, None], slope, 0.0)
+        normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))
+        np.add.at(normal, of, np.einsum("nki,nkj->nij", slope, slope))
+        np.add.at(score, of, np.einsum("nki,nk->ni", slope, residual / sigma))
+        displacement = displacement + np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
+    motion = np.zeros((3 * len(first), 0))
+    if place.centring.stations:
+        arm = sightings.sight_vectors[rows[first]]
+        motion = np.concatenate([np.tile(np.eye(3), (len(first), 1, 1)), -cross_matrix(arm)], axis=2).reshape(-1, 6)
+    free = displacement.ravel() - motion @ np.linalg.lstsq(motion, displacement.ravel())[0]
+    components = len(free) - motion.shape[1]
+    variance = float(free @ free) / components
+    saved = _misfit_cost(fit, fit.whitened_residuals[rows][used]) - _misfit_cost(fit, (residual / sigma)[used])
+    strength = np.linalg.eigvalsh(normal).clip(0.0)
+    determinant = float(np.mean(np.log1p(variance * strength)))
+    gain = saved - 0.5 * components * (1.0 + determinant) + float(log_occam_factor_of_variance(components))
+    return gain, float(np.sqrt(variance))
+
+
+def _misfit_cost(fit: NetworkFit, whitened: Floats) -> float:
+    """Negative log evidence of whitened residuals (r,), each of normal noise or an outlier."""
+    prior = log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum()))
+    outlier = -log_occam_factor_of_shift(np.abs(whitened), 1) - prior
+    return float(np.minimum(0.5 * whitened**2, outlier).sum())
+
+
+def _centring_places(recording: Recording, used_readings: Bools) -> list[_CentringPlace]:
+    """Set-ups and targets with enough repeated pointings; a target that only one set-up sees shows no displacement."""
+    is_used = np.asarray(used_readings.any(axis=1))
+    pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
+    is_shared = np.bincount(pairs[0], minlength=len(recording.targets)) > 1
+    shared = tuple(name for name, is_tied in zip(recording.targets, is_shared.tolist(), strict=True) if is_tied)
+    centrings = [CentringUncertainty(sigma_mm=1.0, stations=(name,), targets=shared) for name in recording.stations]
+    centrings += [CentringUncertainty(sigma_mm=1.0, targets=(name,)) for name in shared]
+    places = []
+    for centring in centrings:
+        occupation = np.where(is_used, target_occupations(recording, centring), -1)
+        count = len(np.unique(occupation[occupation >= 0]))
+        if count >= MIN_OCCUPATIONS and (occupation >= 0).sum() >= MIN_POINTINGS_PER_OCCUPATION * count:
+            places.append(_CentringPlace(centring, occupation))
+    return places
+
+
+class CentringEstimate(NamedTuple):
+    """Most likely standard deviation of centring errors."""
+
+    gain: float
+    """Gain of log evidence, without a prior of the hypothesis."""
+    sigma: float
+    """Standard deviation [m] of each component of a displacement."""
+    n_determined: float
+    """Number of components that the readings determine: the variance has twice its inverse as relative variance."""
+
+
+def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstimate:
+    """Most likely standard deviation of centring errors of the occupations (n,), -1 for none."""
+    moved = np.zeros((len(occupation), 3, int(occupation.max()) + 1, 3))
+    rows = np.flatnonzero(occupation >= 0)
+    moved[rows, :, occupation[rows]] = np.eye(3)
+    signature = space.whiten(design_from_displacements(space.sightings, moved.reshape(len(occupation), 3, -1)))
+    projected = space.project(signature)
+    strength, turn = np.linalg.eigh(projected.T @ projected)
+    visible = strength > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(signature**2, axis=0)))
+    strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
+    variance = CENTRING_SIGMAS[:, None] ** 2
+    ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
+    best = int(np.argmax(ratio))
+    determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
+    gain = float(ratio[best] + log_occam_factor_of_variance(determined))
+    return CentringEstimate(gain, float(CENTRING_SIGMAS[best]), determined)
+
+
+class CommonDisplacement(NamedTuple):
+    """Displacement of all reflectors at a set-up by one length, along unknown normals of their nests."""
+
+    length: float
+    """Length [m], positive away from the nests, which are behind the targets as seen from the set-up."""
+    sigma: float
+    """Standard deviation of the length [m]."""
+
+
+def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDisplacement | None:
+    """Common displacement of the reflectors at a set-up; None if the lengths differ.
+
+    The readings determine the displacements but for a motion of the set-up (the pose absorbs it), which is estimated
+    with the length: without a rotation the displacements of equal length are on a sphere.
+    """
+    displacement = fit.estimate(hypothesis)[0].reshape(-1, 3)
+    if len(displacement) < MIN_TARGETS_FOR_LENGTH or len(hypothesis.stations) != 1:
+        return None
+    assert isinstance(hypothesis.model_change, CentringChange)
+    occupation = target_occupations(fit.recording, hypothesis.model_change.centring)
+    arm = fit.adjustment.sightings.sight_vectors[np.unique(occupation, return_index=True)[1][-len(displacement) :]]
+    linear = np.hstack([2.0 * displacement, np.ones((len(arm), 1))])
+    centre = np.linalg.lstsq(linear, np.sum(displacement**2, axis=1))[0]
+    motion = np.append(-centre[:3], np.zeros(3))
+    length = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
+    for _ in range(N_LENGTH_ITERATIONS):
+        corrected = displacement + motion[:3] + np.cross(motion[3:], arm)
+        size = np.linalg.norm(corrected, axis=1)
+        direction = corrected / np.maximum(size, 1e-300)[:, None]
+        design = np.hstack([direction, np.cross(arm, direction), -np.ones((len(arm), 1))])
+        residual = length - size
+        step = np.linalg.lstsq(design, residual)[0]
+        motion, length = motion + step[:6], length + float(step[6])
+    scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / (len(arm) - design.shape[1])))
+    rms = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
+    if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
+        return None
+    is_away_from_nests = float(np.sum(corrected * arm)) < 0.0
+    sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
+    return CommonDisplacement(length if is_away_from_nests else -length, sigma)

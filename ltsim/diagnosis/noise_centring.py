@@ -1,0 +1,99 @@
+"""Centring errors of all targets as changes of the noise, in recordings that distinguish occupations of a target.
+
+Their log evidence is the restricted likelihood ratio of the variance component of the displacements
+(`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.identification.centring_errors import best_centring_sigma
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MILLIMETRE
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
+from ltsim.physics.laws.centring import CentringVariance
+from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
+from ltsim.recordings.occupations import days_of_pointings, target_occupations
+from ltsim.recordings.recording import Recording
+
+MAX_CENTRING_OCCUPATIONS = 200
+"""Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
+MIN_OCCUPATIONS_PER_TARGET = 1.5
+"""Smallest mean number of occupations of a target: with one, the displacement is part of its coordinates."""
+MIN_POINTINGS_PER_CENTRING = 1.5
+"""Smallest mean number of pointings in an occupation; without repeats centring errors are noise."""
+
+
+def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
+    """Hypotheses of centring errors with their log evidence without prior, in the order of `Occupation`."""
+    recording, used = space.adjustment.recording, np.asarray(space.used_readings.any(axis=1))
+    hypotheses = []
+    for kind in _distinguished_occupations(recording):
+        effect = CentringVariance(occupation=kind)
+        occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
+        if _shows_centring(recording, occupation):
+            estimate = best_centring_sigma(space, occupation)
+            hypotheses.append((estimate.gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,))))
+    return hypotheses
+
+
+def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """Centring errors with an estimated standard deviation, its standard deviation, and twice the log likelihood ratio.
+
+    In an adjustment that contains them, the estimate is a step of the EM algorithm: the mean square of the
+    displacements, with their posterior variance.
+    """
+    effect, adjustment = hypothesis.effect, space.adjustment
+    assert isinstance(effect, CentringVariance)
+    declared = adjustment.recording.setup.centring
+    number = next((i for i, c in enumerate(declared) if c == effect.uncertainty(hypothesis.sizes[0])), None)
+    if number is None:
+        occupation = target_occupations(adjustment.recording, effect.uncertainty(MILLIMETRE))
+        gain, sigma, count = best_centring_sigma(space, occupation)
+        return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, count),), chi2_drop=2.0 * gain)
+    at = adjustment.problem.model.centring_columns[number]
+    values, covariance = adjustment.state.extra_parameters[at], adjustment.extra_covariance[at, at]
+    sigma = float(np.sqrt((values @ values + np.trace(covariance)) / len(values)))
+    count = len(values) - float(np.trace(covariance)) / sigma**2
+    return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, count),))
+
+
+def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
+    """Recording whose set-up declares the centring errors among some changes of the noise."""
+    further: list[CentringUncertainty] = [
+        change.effect.uncertainty(change.sizes[0]) for change in noise if isinstance(change.effect, CentringVariance)
+    ]
+    if not further:
+        return recording
+    centring = (*recording.setup.centring, *further)
+    return recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
+
+
+def _sigma_of(sigma: float, n_determined: float) -> float:
+    """Standard deviation of an estimated standard deviation of displacements, from the determined components."""
+    return float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
+
+
+def _distinguished_occupations(recording: Recording) -> list[Occupation]:
+    """Occupations of targets that a recording distinguishes by a column, or by its days."""
+    declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
+    columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
+    kinds = [column for column in columns if column in recording.labels]
+    kinds += ["day"] if len(set(days_of_pointings(recording))) > 1 else []
+    return [kind for kind in kinds if kind not in declared]
+
+
+def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
+    """True if occupations (n,) are few, recur at the targets, and have repeated pointings."""
+    rows = np.flatnonzero(occupation >= 0)
+    count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
+    return (
+        count <= MAX_CENTRING_OCCUPATIONS
+        and count >= MIN_OCCUPATIONS_PER_TARGET * targets
+        and len(rows) >= MIN_POINTINGS_PER_CENTRING * count
+    )

@@ -1,0 +1,30 @@
+from dataclasses import dataclass
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class ReflectorConstant(Effect):
+    """Wrong reflector constant: another SMR or prism at one station, or the constant of another one was entered.
+
+    Delta_d = c for every range of station i; the sphere's centre stays where it is.
+
+    Size: 17.5 or 34.4 mm for another prism, 0.02 to 0.5 mm for the constant of another SMR.
+    Like: range-step at the station's start (exact), station-weather (0.965).
+    Separate by: the reflector and the constant that were used there; near and far targets at that station.
+    Valid: one reflector a visit. At all stations alike it is the range zero of the instrument.
+    Source: general knowledge: constants of reflectors are entered by hand.
+    Status: validated against the range offset on the station's rows.
+    """
+
+    name = "reflector-constant"
+    stage = LightPathStage.RANGE
+    observables = ("distance",)
+    scope = "station"
+    parameters = (Parameter("reflector-constant", "um", "length missing from every range there", 5 * MILLIMETRE),)
+
+    def design(self, sightings: Sightings) -> Floats:
+        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings))[:, :, None]

@@ -1,0 +1,53 @@
+"""Centring errors as a change of the noise: one displacement of the reflector at each occupation of a target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
+from ltsim.scene.sightings import Sightings
+
+OCCUPATION_TEXTS: dict[Occupation, str] = {
+    "station": "for each set-up",
+    "instrument_setup": "for each occupation by an instrument",
+    "target_setup": "at each occupation",
+    "day": "each day",
+}
+"""Texts of the occupations of a target."""
+
+
+@dataclass(frozen=True)
+class CentringVariance(VarianceFunction):
+    """Random displacement of the reflector at each occupation of a target, common to all pointings of the occupation.
+
+    It is no variance of single readings: the network estimates the displacements, with the standard deviation as prior.
+    """
+
+    occupation: Occupation = "station"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Standard deviation of the displacements along each axis."""
+        return (Parameter("centring", "mm", "standard deviation of a displacement along each axis", MILLIMETRE),)
+
+    @property
+    def regressor_text(self) -> str:
+        """Regressor on which the displacement depends, as text."""
+        return "occupation of the target"
+
+    @property
+    def text(self) -> str:
+        """Text of the change of the noise."""
+        return f"reflectors that are centred anew {OCCUPATION_TEXTS[self.occupation]}"
+
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        """Variance (n, 3) of the readings without the displacements."""
+        return sigma**2
+
+    def uncertainty(self, sigma: float) -> CentringUncertainty:
+        """Declaration for the set-up of a recording, for a standard deviation [m]."""
+        return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation)

@@ -1,0 +1,18 @@
+"""Header of a report, as a table of `setup.toml`."""
+
+from __future__ import annotations
+
+from ltsim.recordings.keys import Date, Line, TomlSection
+
+
+class About(TomlSection):
+    """Header of a report, table `[report]`; it has no influence on results."""
+
+    instrument: Line | None = None
+    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; default those of the instruments."""
+    date: Date | None = None
+    """Day of the measurement, year-month-day."""
+    operator: Line | None = None
+    """Name of the operator."""
+    customer: Line | None = None
+    """Name of the customer."""

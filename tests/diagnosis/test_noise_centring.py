@@ -1,0 +1,65 @@
+"""Centring errors of all targets in a diagnosis: reflectors centred anew at each occupation, and none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.randomness import stream
+from ltsim.core.units import MILLIMETRE
+from ltsim.diagnosis.diagnose import diagnose
+from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, estimate_centring, with_centring
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.laws.centring import CentringVariance
+from ltsim.recordings.recording import Recording
+from tests.networks import network
+
+SIGMA = 0.15 * MILLIMETRE
+
+
+def centred_anew(seed: int, sigma: float) -> Recording:
+    """Four stations, two faces; each reflector is centred anew after the second station, displaced by `sigma` [m]."""
+    recording, _ = network(seed=seed, stations=4, faces=2)
+    period = recording.station // 2
+    labels = {"target_setup": tuple(f"P{p}" for p in period.tolist())}
+    displacement = sigma * stream(seed, "centring").standard_normal((2, len(recording.targets), 3))
+    change = exact_target_change(adjust(recording).sightings, displacement[period, recording.target])
+    return recording.replace(readings=recording.readings + change, labels=labels)
+
+
+def space_of(recording: Recording) -> ResidualSpace:
+    return ResidualSpace.from_adjustment(adjust(recording))
+
+
+def test_the_variance_component_of_the_occupations() -> None:
+    recording = centred_anew(11, SIGMA)
+    ((gain, hypothesis),) = centring_hypotheses_of_occupations(space_of(recording))
+    assert gain > 1000.0
+    assert hypothesis.sizes[0] == pytest.approx(SIGMA, rel=0.25)
+    declared = with_centring(recording, [hypothesis])
+    assert declared.setup.centring[0].sigma_mm * MILLIMETRE == pytest.approx(hypothesis.sizes[0])
+    again = estimate_centring(space_of(declared), hypothesis)
+    assert again.sizes[0] == pytest.approx(hypothesis.sizes[0], rel=0.03)
+    assert adjust(declared).sigma0 == pytest.approx(1.0, abs=0.1)
+    assert centring_hypotheses_of_occupations(space_of(declared)) == []
+
+
+def test_no_centring_errors_without_displacements_or_occupations() -> None:
+    clean = centred_anew(12, 0.0)
+    ((gain, _),) = centring_hypotheses_of_occupations(space_of(clean))
+    assert gain < 0.0
+    assert centring_hypotheses_of_occupations(space_of(clean.replace(labels={}))) == []
+    once = clean.replace(labels={"target_setup": ("P",) * len(clean)})
+    assert centring_hypotheses_of_occupations(space_of(once)) == []
+
+
+def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
+    diagnosis = diagnose(centred_anew(13, SIGMA))
+    (finding,) = diagnosis.findings
+    assert finding.formula == CentringVariance(occupation="target_setup").text
+    assert finding.sentence.startswith("Centring errors: reflectors that are centred anew at each occupation")
+    assert finding.parameters[0].value == pytest.approx(0.15, rel=0.25)
+    assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
+    assert np.isfinite(diagnosis.final_adjustment.target_covariance).all()
