@@ -152,7 +152,8 @@ def _possible_conventions(
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
     lowest = min(vertical, default=Decimal(0))
-    kind = "elevation" if lowest < 0 else "zenith" if "zenit" in normalised_title(titles[angle_columns[0]]) else "vertical"
+    is_zenith = "zenit" in normalised_title(titles[angle_columns[0]])
+    kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
