@@ -142,7 +142,8 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
 
 def verdict_entry(adjustment: Adjustment, with_constants: FitEntry | None = None) -> Verdict:
     """Verdict on the test to trust at the level `AGREEMENT_LEVEL`; `with_constants` is the fit with them estimated."""
-    return verdict_on(adjustment, AGREEMENT_LEVEL, with_constants and (with_constants.chi2, with_constants.dof))
+    fit = None if with_constants is None else (with_constants.chi2, with_constants.dof)
+    return verdict_on(adjustment, AGREEMENT_LEVEL, fit)
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

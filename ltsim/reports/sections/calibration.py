@@ -175,7 +175,7 @@ def _corrections_sentence(content: Calibration) -> str:
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    at = f" at {listing(places)}" if places else ""
+    at = f" at {listing(list(places))}" if places else ""
     dof = sum(test.dof for test in faults if test.sigma is not None)
     degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
     return f" The model corrects {count_text(len(faults), 'error')}{at}{degrees}."
