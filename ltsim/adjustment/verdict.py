@@ -48,9 +48,16 @@ class Verdict:
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
-def verdict_on(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> Verdict:
-    """The verdict on an adjustment, by a global test at a two-sided `alpha`."""
-    judged, open_ = _verdict_from_tests(adjustment, alpha), adjustment_warnings(adjustment)
+def verdict_on(
+    adjustment: Adjustment, alpha: float = GLOBAL_LEVEL, fit_with_constants: tuple[float, int] | None = None
+) -> Verdict:
+    """The verdict on an adjustment, by a global test at a two-sided `alpha`.
+
+    `fit_with_constants` is chi-square and degrees of freedom of a fit that also estimates the constants of the
+    instrument, if there is one.
+    """
+    judged = _verdict_from_tests(adjustment, alpha, fit_with_constants)
+    open_ = adjustment_warnings(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -58,13 +65,13 @@ def verdict_on(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> Verdict:
     return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
+def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
     """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
-    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof)
+    low, high = _sigma0_limits(dof, alpha)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
     by_w, wrong = len(outliers), _reading_count_text(len(outliers))
     phrase = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
@@ -103,16 +110,38 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float) -> Verdict:
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
+    reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {phrase}; {_rejection_reasons(adjustment)}, "
+        f"Trust the global test and the estimated sigma0: {phrase}; {reasons}, "
         f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
         f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
     )
     return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
 
 
-def _rejection_reasons(adjustment: Adjustment) -> str:
-    """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated."""
+def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
+    """Lower and upper limit of sigma0 at a two-sided `alpha`."""
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
+    return low, high
+
+
+def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
+    """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated.
+
+    A fit with the constants estimated decides between them.
+    """
+    if fit_with_constants is not None and fit_with_constants[1] > 0:
+        chi2, dof = fit_with_constants
+        low, high = _sigma0_limits(dof, alpha)
+        sigma0 = float(np.sqrt(chi2 / dof))
+        fit = f"with these estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+        if sigma0 <= high:
+            reason = f"the instrument's constants are in the readings, and {fit}"
+            return reason if sigma0 >= low else f"{reason}, so the noise is smaller than declared"
+        return (
+            f"the instrument's constants do not suffice as the reason, because {fit}: the noise is larger than "
+            "declared, or a systematic effect is missing from the model"
+        )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return "the noise is larger than declared or a systematic effect is missing from the model"
     return (

@@ -285,7 +285,7 @@ def _make_calibration(
         criteria=result.criteria_table(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
         outliers=result.outlier_rows(adjustment),
-        verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment)),
+        verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment, fields.get("with_constants"))),
         noise=result.noise_rows(adjustment),
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,

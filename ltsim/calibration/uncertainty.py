@@ -45,8 +45,9 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
     """Sentences on the standard deviations of a result: factor, uncertainty of the air, errors not included."""
     sentences = []
     if result.uncertainty_factor > 1.0:
+        model = "the model" if result.constants_included else "the model without the instrument's constants"
         sentences.append(
-            "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
+            f"The readings contradict {model}: all standard deviations are multiplied by sigma0 = "
             f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:

@@ -27,7 +27,7 @@ CONTENT_SECURITY_POLICY = (
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
 )
 """Content Security Policy of a page: no external resources."""
-Assessment = Literal["good", "bad", "plain"]
+Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result, which determines its colour."""
 WorkshopDetail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""

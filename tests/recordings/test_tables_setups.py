@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.recordings import Recording, read
+from ltsim.core.errors import RecordError
+from ltsim.recordings import Hints, Recording, read
 from ltsim.recordings.specification import TOTAL_STATION_NOISE
+from tests.recordings.samples import workshop
 
 MARKS = {"A": (0.0, 0.0, 1.0), "B": (30.0, 2.0, 1.4)}
 RNG_SEED = 5
@@ -149,3 +151,26 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
     assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
     assert "that of the default laser tracker is used" in recording.notes[0]
     assert not recording.setup.stations
+
+
+@pytest.mark.parametrize("title", ["inst", "Instrumentenstandpunkt"])
+def test_a_column_that_separates_the_set_ups_is_suggested_as_the_station(tmp_path: Path, title: str) -> None:
+    recording = workshop()
+    header = f"{title},label,T [degC],target,face,azimuth [deg],elevation [deg],distance [mm]"
+    rows = [
+        f"{10 + s},{i % 2},{20 + s},T{t},{f},{np.degrees(a):.8f},{np.degrees(e):.8f},{1e3 * d:.6f}"
+        for i, (s, t, f, (d, a, e)) in enumerate(
+            zip(recording.station, recording.target, recording.face, recording.readings, strict=True)
+        )
+    ]
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    with pytest.raises(RecordError, match=f'"station={title}"') as refused:
+        read(file)
+    assert "distances to the same target differ by" in str(refused.value)
+    found = read(file, hints=Hints(columns=f"station={title}"))
+    assert len(found.stations) == len(recording.stations)
+    file.write_text("\n".join([header, *(f",,,{row.split(',', 3)[3]}" for row in rows)]) + "\n")
+    with pytest.raises(RecordError, match="add a column station"):
+        read(file)
+    assert read(file, hints=Hints(station="S1")).stations == ("S1",)

@@ -72,11 +72,10 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
 
 def item_from_cause(test: CauseTest) -> CheckItem:
     """Item of an identified cause; it passes only if it is noise smaller than declared."""
-    is_passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
     kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
-    return CheckItem.from_test(at, kind, is_passed, sentence, test.p_value, targets=targets, rows=test.rows)
+    return CheckItem.from_test(at, kind, not test.is_fault, sentence, test.p_value, targets=targets, rows=test.rows)
 
 
 ITEMS_TABLE = Table(

@@ -84,6 +84,11 @@ class CauseTest(Entry):
     sentence: str = ""
     """Sentence on the test."""
 
+    @property
+    def is_fault(self) -> bool:
+        """True for an accepted cause that a user must act on: all but noise smaller than declared."""
+        return self.accepted and not (self.kind == "noise-level" and (self.estimate or 0.0) <= 1.0)
+
 
 MAX_LISTED_OUTLIERS = 20
 """Largest number of outliers with a separate test, the largest first."""

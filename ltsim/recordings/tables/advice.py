@@ -5,10 +5,11 @@ from decimal import Decimal
 from functools import lru_cache
 from itertools import accumulate, pairwise, takewhile
 
+from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import ANGLE_MARKS, COORDINATE_ROLES
+from ltsim.recordings.tables.header import ANGLE_MARKS, COORDINATE_ROLES, normalised_title, title_words_and_unit
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
@@ -81,23 +82,30 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
     names_and_faces += [f"face={titles[i]}" for i in faces[:1]]
     angles = _angle_columns(numbers, columns)
     polar = [
-        [f"azimuth={_joined_titles(first, titles)}[{unit}]", f"{kind}={_joined_titles(other, titles)}[{unit}]", *length]
+        [
+            f"{circle}={_joined_titles(first, titles)}[{unit}]",
+            f"{kind}={_joined_titles(other, titles)}[{unit}]",
+            *length,
+        ]
         for first, other in pairwise(angles)
-        if len(first) == len(other)
-        for unit, kind in _possible_conventions(first, other, columns)
+        if len(first) == len(other) or (_is_sexagesimal(first, columns) and _is_sexagesimal(other, columns))
+        for circle in ("horizontal" if normalised_title(titles[first[0]]).startswith(("hz", "hor")) else "azimuth",)
+        for unit, kind in _possible_conventions(first, other, columns, titles)
         for length in _distance_columns("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
     ]
     polar += [
         [f"horizontal={_joined_titles(first, titles)}[deg]", *length]
         for first in angles[:1]
-        if _is_sexagesimal(first, columns)
+        if _is_sexagesimal(first, columns) and not any(_is_sexagesimal(other, columns) for other in angles[1:])
         for length in _distance_columns("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
     ]
     places = [i for i in numbers if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     places = places[:3] if len(places) >= len(COORDINATE_ROLES) else numbers[:3]
     unit = "m" if max((_largest_magnitude(columns[i]) for i in places), default=0) < MAX_LENGTH_IN_METRES else "mm"
     as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, places, strict=False)]
-    whole = [*polar, *([as_places] if len(as_places) == len(COORDINATE_ROLES) else [])]
+    is_polar = any(_has_marked_angles(columns[i]) for i in numbers)
+    is_complete = len(as_places) == len(COORDINATE_ROLES) and not is_polar
+    whole = [*polar, *([as_places] if is_complete else [])]
     return [",".join([*names_and_faces, *readings]) for readings in whole]
 
 
@@ -115,7 +123,7 @@ def _angle_columns(numbers: Sequence[int], columns: ColumnAssignment) -> list[tu
             if _has_fraction(columns[parts[-1]]):
                 break
             parts.append(parts[-1] + 1)
-        alone = _has_fraction(columns[i]) or any(map(cells.is_sexagesimal, columns[i]))
+        alone = _has_fraction(columns[i]) or _has_marked_angles(columns[i])
         if (
             i not in taken
             and _largest_magnitude(columns[i]) <= FULL_CIRCLE_BY_UNIT["gon"]
@@ -132,9 +140,9 @@ def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
 
 
 def _possible_conventions(
-    first: Sequence[int], angle_columns: Sequence[int], columns: ColumnAssignment
+    first: Sequence[int], angle_columns: Sequence[int], columns: ColumnAssignment, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Unit and kind of the vertical angle that the numbers permit, most likely first."""
+    """Unit and kind of the vertical angle that the numbers and its title permit, most likely first."""
     vertical = _column_numbers(columns[angle_columns[0]])
     max_value = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
     if _is_sexagesimal(first, columns):
@@ -144,7 +152,8 @@ def _possible_conventions(
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
     lowest = min(vertical, default=Decimal(0))
-    kind = "elevation" if lowest < 0 else "vertical"
+    is_zenith = "zenit" in normalised_title(titles[angle_columns[0]])
+    kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
@@ -153,21 +162,32 @@ def _distance_columns(
 ) -> list[list[str]]:
     """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
 
-    Distances are in metres where angles are in degrees, minutes and seconds.
+    Its unit is that of its title; without one, metres where angles are in degrees, minutes and seconds.
     """
     candidates = [
         i
         for i in angle_columns
-        if _has_fraction(columns[i]) and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
+        if _has_fraction(columns[i])
+        and not _has_marked_angles(columns[i])
+        and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
     ]
-    metres = _is_sexagesimal(angle, columns) or (
-        candidates and _largest_magnitude(columns[candidates[0]]) < MAX_LENGTH_IN_METRES
-    )
-    return [[f"{role}={titles[i]}[{'m' if metres else 'mm'}]"] for i in candidates[:1]]
+    lengths = []
+    for i in candidates[:1]:
+        title_unit = title_words_and_unit(titles[i])[1]
+        metres = _is_sexagesimal(angle, columns) or _largest_magnitude(columns[i]) < MAX_LENGTH_IN_METRES
+        unit = title_unit if title_unit in LENGTH_UNITS else "m" if metres else "mm"
+        lengths.append([f"{role}={titles[i]}[{unit}]"])
+    return lengths
 
 
 def _is_sexagesimal(angle: Sequence[int], columns: ColumnAssignment) -> bool:
-    return len(angle) > 1 or any(map(cells.is_sexagesimal, columns[angle[0]]))
+    return len(angle) > 1 or _has_marked_angles(columns[angle[0]])
+
+
+@lru_cache(maxsize=1024)
+def _has_marked_angles(column: tuple[str, ...]) -> bool:
+    """True if a cell is an angle in degrees, minutes and seconds."""
+    return cells.plain_numbers(column) is None and any(map(cells.is_sexagesimal, column))
 
 
 def _joined_titles(places: Sequence[int], titles: Sequence[str]) -> str:

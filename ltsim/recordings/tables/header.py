@@ -196,7 +196,7 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
             part = _match_unit_ending(form, after.title)
             letter = len(after.title) == 1 and after.title.isalpha() and not has_letters
             whole_word = part is not None and not part[1] and not letter
-            if part is None or not (whole_word or _normalised_text(part[1]) == _normalised_text(names[0])):
+            if part is None or not (whole_word or normalised_title(part[1]) == normalised_title(names[0])):
                 break
             names.append(part[1])
         role = title_role(names[0])
@@ -244,12 +244,12 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
         parts = re.split(r"[\s_]+", title.strip())
         if len(parts) > 1 and parts[-1].lower() in UNITS_BY_SPELLING and title_role("".join(parts[:-1])):
             name, unit = " ".join(parts[:-1]), UNITS_BY_SPELLING[parts[-1].lower()]
-    return _normalised_text(name), unit
+    return normalised_title(name), unit
 
 
 def title_role(name: str) -> str:
     """Role of a title, such as `haerror` for the sigma of a direction; '' for none."""
-    name = _normalised_text(name)
+    name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
     value = _VALUE_PATTERN.fullmatch(name)
@@ -259,7 +259,8 @@ def title_role(name: str) -> str:
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 
 
-def _normalised_text(text: str) -> str:
+def normalised_title(text: str) -> str:
+    """Letters and digits of a title in lower case, without accents."""
     letters = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
     return re.sub(r"[^a-z0-9]", "", letters)
 

@@ -32,6 +32,7 @@ from ltsim.recordings.tables.setups import (
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
+from ltsim.recordings.tables.station_names import require_station_names
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
@@ -130,6 +131,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     meaning, readings = interpret_readings(table, poses, hints, path)
+    require_station_names(table, readings, path)
     if setup is not None:
         recording = assemble_recording(table, meaning, readings, setup, hints, path)
         return recording.replace(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import (
@@ -118,7 +119,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         title=f"{kind}: {named}" if named else f"{kind} of {count_text(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         summary=_answer_sentence(content, words, targets),
-        assessment="plain" if needs_constants else assessment_of(good),
+        assessment="plain" if needs_constants else "caution" if good and _has_fault(content) else assessment_of(good),
         key_figures=_key_figures(content, agrees=agrees),
         blocks=blocks,
         next_actions=_next_actions(content, is_accepted=good),
@@ -158,14 +159,35 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
             if rejected
             else ""
         )
+    begin += f".{_corrections_sentence(content)}"
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
-    return f"{begin}.{accuracy}".rstrip()
+    return f"{begin}{accuracy}".rstrip()
+
+
+def _has_fault(content: Calibration) -> bool:
+    """True if the model of the result corrects a cause other than an outlier."""
+    return any(test.is_fault and test.kind != "outlier" for test in content.tests)
+
+
+def _corrections_sentence(content: Calibration) -> str:
+    """Sentence on the causes in the model of the result, with a leading blank; empty without one."""
+    faults = [test for test in content.tests if test.is_fault and test.kind != "outlier"]
+    if not faults:
+        return ""
+    places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
+    at = f" at {listing(list(places))}" if places else ""
+    dof = sum(test.dof for test in faults if test.sigma is not None)
+    degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
+    return f" The model corrects {count_text(len(faults), 'error')}{at}{degrees}."
 
 
 def _agrees_with_constants(content: Calibration) -> bool:
-    """True if the readings agree as soon as the instrument's constants are estimated."""
+    """True if the readings scatter no more than declared as soon as the instrument's constants are estimated."""
     fit = content.with_constants
-    return fit is not None and global_test_verdict(fit.chi2, fit.dof, fit.p_value)[0]
+    if fit is None:
+        return False
+    agrees = global_test_verdict(fit.chi2, fit.dof, fit.p_value)[0]
+    return agrees or (fit.p_value is not None and fit.p_value > 0.5)
 
 
 def _constants_sentence(content: Calibration) -> str:
@@ -228,7 +250,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first."""
-    actions = []
+    actions = cause_actions(test for test in content.tests if test.kind != "outlier")
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)

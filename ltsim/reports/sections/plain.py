@@ -6,7 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, pass_probability_text
-from ltsim.adjustment.fieldcheck.result import Check
+from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
+from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
@@ -56,11 +57,11 @@ MAX_LISTED_TESTS = 200
 ACTIONS_BY_FAILED_TEST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
-        "Re-measure the points of the failed tests before moving the tripod."
+        "Measure {place} again before moving the tripod."
     ),
     ("network",): "Run ltsim diagnose to locate the disagreement of the stations.",
 }
-"""Next action by the kinds of the failed tests."""
+"""Next action by the kinds of failed tests of no identified cause; `place` is their targets, or their stations."""
 
 
 def check_section(content: Check, context: ReportContext) -> Section:
@@ -79,14 +80,23 @@ def check_section(content: Check, context: ReportContext) -> Section:
     shown = 2 if failed else 1
     named = content.recording.title if content.recording else ""
     title, answer = f"Check in the field: {named}" if named else "Check in the field", as_sentence(content.sentence)
-    actions = [
-        does
-        for kinds, does in ACTIONS_BY_FAILED_TEST.items()
-        if any(not i.passed and i.kind in kinds for i in content.items)
-    ]
+    actions = [*cause_actions(content.tests), *_failed_test_actions(content)]
     return Section(
         title, "Check", answer, assessment_of(content.passed), facts, blocks, n_open_blocks=shown, next_actions=actions
     )
+
+
+def _failed_test_actions(content: Check) -> list[str]:
+    """Next actions after failed tests of no identified cause."""
+    actions = []
+    causes = [item_from_cause(test) for test in content.tests]
+    for kinds, action in ACTIONS_BY_FAILED_TEST.items():
+        items = [i for i in content.items if not i.passed and i.kind in kinds and i not in causes]
+        targets = list(dict.fromkeys(name for item in items for name in item.targets))
+        stations = list(dict.fromkeys(item.station for item in items if item.station))
+        if items:
+            actions.append(action.format(place=listing(targets or stations) or "the set-ups"))
+    return actions
 
 
 def comparison_section(content: Comparison, _: ReportContext) -> Section:

@@ -1,0 +1,47 @@
+"""Next action of a user after an identified cause, by its kind and place."""
+
+from collections.abc import Iterable
+
+from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.core.notation import listing
+
+ACTIONS_BY_CAUSE = {
+    "outlier": "Measure again {rows}.",
+    "constant-offset": "Check the SMR and the distance constant at {place}; correct the wrong one.",
+    "scale-error": (
+        "Check the temperature, the pressure and the unit of the distances at {place}; correct the distances, and "
+        "evaluate the recording again."
+    ),
+    "target-moved": "Inspect the nest of {place}, and measure this target again from all set-ups.",
+    "station-bump": "Check the tripod of {place}, and measure this set-up again.",
+    "station-drift": "Let the tripod of {place} settle, and measure this set-up again.",
+    "orientation": "Check the clamping of the tracker at {place}, and measure this set-up again.",
+    "reflector-radius": "Check the SMR at {place}, and declare its radius.",
+    "reference-value": "Check the reference values{at_place} in their source, and correct the wrong one.",
+    "reference-scale": "Check the temperature and expansion of the reference lengths, and the scale of the distances.",
+    "names": "Correct the names{at_place} in the recording.",
+    "unit": "Read the recording again with the right unit{at_place}.",
+    "height": "Check the heights of the instrument and of the targets{at_place}.",
+    "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in the set-up.",
+}
+"""Next action for each kind of cause; `place` is the names of stations and targets, `at_place` the same after "at"."""
+VERTICAL_INDEX_ACTION = "Determine the vertical index of the tracker, and measure {place} again."
+"""Next action for an offset of the elevations at one set-up."""
+
+
+def cause_action(test: CauseTest) -> str:
+    """Sentence on the next action after an accepted cause; empty for a kind without one."""
+    names = (*test.where.stations, *test.where.targets)
+    place = listing(names, len(names)) if names else "the set-ups"
+    action = ACTIONS_BY_CAUSE.get(test.kind, "")
+    if test.kind == "constant-offset" and test.acts_on == "elevation":
+        action = VERTICAL_INDEX_ACTION
+    targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
+    row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
+    rows = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
+    return action.format(place=place, at_place=f" at {place}" if names else "", rows=rows)
+
+
+def cause_actions(tests: Iterable[CauseTest]) -> list[str]:
+    """Next actions after the faults among accepted causes, without repetitions, in their order."""
+    return list(dict.fromkeys(filter(None, (cause_action(test) for test in tests if test.is_fault))))

@@ -1,0 +1,61 @@
+"""Station names that a table lacks: the same target then has ranges and elevations that differ by set-up."""
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.recordings.files import quoted_text
+from ltsim.recordings.tables.header import title_words_and_unit
+from ltsim.recordings.tables.printed import PointingTable, indices_by_value
+
+MAX_SETUP_SPREADS = (0.1, 0.02)
+"""Largest median difference [m; rad] between ranges and elevations of the same target at one set-up: no reflector, face
+or drift changes them as much, and set-ups differ by more (0.02 rad is 0.1 m at 5 m).
+"""
+MAX_SPREAD_RATIO = 0.01
+"""Largest ratio of this difference within the values of a column to that of all rows, for a column of station names."""
+MIN_ROWS_PER_SETUP = 3
+"""Smallest mean number of rows of a value in a column of station names."""
+
+
+def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
+    """Check that a table without stations is from one set-up: ranges and elevations of each target must agree.
+
+    Raises RecordError with the additional column of texts or numbers that names the set-ups, if there is one.
+    """
+    if not table.nameless:
+        return
+    targets = indices_by_value(table.pointings.target)[1]
+    elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
+    for values, limit, unit in zip((readings[:, 0], elevation), MAX_SETUP_SPREADS, ("m", "rad"), strict=True):
+        spread = _median_spread(values, targets)
+        if spread <= limit:
+            continue
+        names: list[tuple[int, bool, str]] = []
+        for title, texts in table.pointings.additional_cells.items():
+            distinct, of_value = indices_by_value(texts)
+            groups = indices_by_value(zip(of_value.tolist(), targets.tolist(), strict=True))[1]
+            if (
+                1 < len(distinct) <= len(texts) / MIN_ROWS_PER_SETUP
+                and _median_spread(values, groups) < MAX_SPREAD_RATIO * spread
+            ):
+                names.append((len(distinct), bool(title_words_and_unit(title)[1]), title))
+        quantity = "distances" if unit == "m" else "elevations"
+        fault = f"names no station, but {quantity} to the same target differ by {spread:.3g} {unit}"
+        if names:
+            count, _, title = min(names)
+            message = f"{fault}; column '{quoted_text(title)}' has {count} values: give --columns \"station={title}\""
+        else:
+            message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
+        raise RecordError(message, file=file)
+
+
+def _median_spread(values: Floats, groups: Ints) -> float:
+    """Median over the groups with several finite values (n,) of their largest difference; 0 without such a group."""
+    finite = np.isfinite(values)
+    order = np.lexsort((values[finite], groups[finite]))
+    values, groups = values[finite][order], groups[finite][order]
+    first = np.flatnonzero(np.diff(groups, prepend=-1))
+    last = np.append(first[1:], len(groups)) - 1
+    spreads = (values[last] - values[first])[last > first]
+    return float(np.median(spreads)) if len(spreads) else 0.0
