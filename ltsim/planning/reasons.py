@@ -57,7 +57,7 @@ def _quality_text(plan: PlannedNetwork) -> str:
     templates = {
         INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
-        TARGETS_QUALITY: _target_rms_text(plan.layout),
+        TARGETS_QUALITY: _target_rms_text(plan.layout) if TARGETS_QUALITY in plan.layout.qualities else "",
         DIAGNOSIS_QUALITY: "effects detectable from {:.2f} of their plausible size (geometric mean)",
     }
     return ", ".join(templates[name].format(value) for name, value in plan.layout.qualities.items())
