@@ -87,7 +87,7 @@ class LayoutPrecision:
     """Information on instrument and effect parameters in units of their prior sigma, (B, P, P); NaN for a layout with
     an undetermined pose.
     """
-    target_rms: Floats
+    weighted_target_rms: Floats
     """Root mean square point error with the mean of all targets as datum, (B,) [m]; NaN for an undetermined pose, and
     if not requested.
     """
@@ -256,7 +256,7 @@ class LayoutScorer:
         information[has_poses] = self.marginal_information(schur[has_poses], length[has_poses])
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
-            rms[determined] = self.target_rms(
+            rms[determined] = self.weighted_target_rms(
                 schur[determined], inverse[determined], weights[determined], self.mesh_targets
             )
         return LayoutPrecision(information, rms)
@@ -340,7 +340,7 @@ class LayoutScorer:
         rows[..., 3:] *= self._fixes_datum_rotations
         return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
 
-    def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+    def weighted_target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Root mean square point error (B,) [m], weighted as in the survey; parameters as of `target_variance`."""
         variance = self.target_variance(schur, inverse, weights, mesh)
         weight = self._target_weights[self.requested_targets(mesh)]

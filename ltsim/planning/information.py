@@ -124,7 +124,12 @@ class LayoutInformation:
 
     @property
     def target_rms(self) -> float:
-        """Root mean square point error [m] over all targets, weighted as in the survey."""
+        """Root mean square [m] of the point errors of all targets, each with equal weight."""
+        return float(np.sqrt(np.mean(self.target_sigmas**2)))
+
+    @property
+    def weighted_target_rms(self) -> float:
+        """Root mean square point error [m] over all targets, weighted as in the survey: part of the objective."""
         return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_sigmas**2)))
 
 

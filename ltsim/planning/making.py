@@ -110,6 +110,7 @@ class _PlanSearch:
         def keep(survey: PlannedSurvey, value: float) -> None:
             lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
             words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
+            words += " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
             self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {words}")
             self.callbacks.on_layout(survey)
 

@@ -65,8 +65,9 @@ class LayoutObjective:
     """Objective as a weighted geometric mean of up to three qualities."""
 
     quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY: 1.0})
-    """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error
-    [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
+    """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (weighted root mean square
+    point error [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible
+    sizes).
     """
     criterion_name: CriterionName = "D"
     """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
@@ -86,7 +87,7 @@ class LayoutObjective:
         if self.quality_weights.get(INSTRUMENT_QUALITY, 0.0) > 0.0:
             qualities[INSTRUMENT_QUALITY] = self._instrument_quality(precision.information[:, :parameters, :parameters])
         if self.needs_target_errors:
-            qualities[TARGETS_QUALITY] = precision.target_rms
+            qualities[TARGETS_QUALITY] = precision.weighted_target_rms
         if self.quality_weights.get(DIAGNOSIS_QUALITY, 0.0) > 0.0:
             qualities[DIAGNOSIS_QUALITY] = mean_detectable_size(
                 precision.information, parameters, self.effects, self.n_places_by_effect

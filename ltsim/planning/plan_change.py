@@ -32,7 +32,7 @@ class PlanChange(Entry):
     position_mm: Vector | None = None
     """Coordinates of the new place."""
     gain_um: Finite
-    """Decrease of the point error of all other targets (root mean square, inner constraints);
+    """Decrease of the point error of all other targets (weighted root mean square, inner constraints);
     negative for an increase.
     """
     quality: Finite

@@ -186,7 +186,9 @@ class ProcedureEntry(Entry):
     hours: Finite
     """Duration of the whole measurement [h]."""
     quality: QualityValues = Field(default_factory=dict)
-    """Qualities with a weight in the goal, by name; smaller is better."""
+    """Qualities with a weight in the goal, by name; smaller is better. `targets` is the weighted root mean square point
+    error [m]: a point has its `weight` divided by the square of its tolerance.
+    """
 
     @staticmethod
     def _procedure_fields(survey: PlannedSurvey, qualities: dict[str, float]) -> dict[str, Any]:
@@ -206,6 +208,8 @@ class LayoutEntry(ProcedureEntry):
     """Stations of the layout."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """Reflectors of the mesh."""
+    rms_sigma_um: OptionalFloat = None
+    """Root mean square of `sigma_um` over all reflectors, each with equal weight."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
     """Instrument parameters with their expected precision."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
@@ -229,6 +233,7 @@ class LayoutEntry(ProcedureEntry):
             broken_rules=tuple(rule.sentence for rule in layout.broken_rules),
             stations=StationEntry.from_layout(layout),
             reflectors=ReflectorEntry.from_layout(layout, check),
+            rms_sigma_um=information.target_rms / MICROMETRE,
             parameters=PlannedParameterEntry.from_information(information),
             undetermined=tuple(
                 UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=cure)
@@ -270,7 +275,7 @@ class TradeoffEntry(ProcedureEntry):
 
     @property
     def value_um(self) -> float | None:
-        """Objective in micrometres if the goal is the error of the targets alone; None for another goal."""
+        """Weighted point error [um] if the goal is the error of the targets alone; None for another goal."""
         return None if self.value is None or set(self.quality) != {TARGETS_QUALITY} else self.value / MICROMETRE
 
 

@@ -149,11 +149,11 @@ def objective_and_qualities(
     )
     if survey.air is not None and objective.needs_target_errors:  # the search knows no more of the air than its scatter
         rms = (
-            LayoutInformation.from_survey(survey, construction).target_rms
-            if np.isfinite(reduced.target_rms[0])
+            LayoutInformation.from_survey(survey, construction).weighted_target_rms
+            if np.isfinite(reduced.weighted_target_rms[0])
             else np.nan
         )
-        reduced = replace(reduced, target_rms=np.array([rms]))
+        reduced = replace(reduced, weighted_target_rms=np.array([rms]))
     qualities = objective.qualities(reduced, construction.n_parameters)
     value = float(objective.objective_values(reduced, construction.n_parameters)[0])
     return value, {name: float(quality[0]) for name, quality in qualities.items()}

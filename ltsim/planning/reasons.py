@@ -57,13 +57,17 @@ def _quality_text(plan: PlannedNetwork) -> str:
     templates = {
         INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
-        TARGETS_QUALITY: "targets known to {:.1f} um (root mean square)",
+        TARGETS_QUALITY: _target_rms_text(plan.layout),
         DIAGNOSIS_QUALITY: "effects detectable from {:.2f} of their plausible size (geometric mean)",
     }
-    factor = {TARGETS_QUALITY: 1.0 / MICROMETRE}
-    return ", ".join(
-        templates[name].format(factor.get(name, 1.0) * value) for name, value in plan.layout.qualities.items()
-    )
+    return ", ".join(templates[name].format(value) for name, value in plan.layout.qualities.items())
+
+
+def _target_rms_text(layout: LayoutEvaluation) -> str:
+    """Text of the root mean square over all points, and of the weighted one if the weights of the points differ."""
+    text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
+    weighted = f"; {_quality_value_text(TARGETS_QUALITY, layout.qualities[TARGETS_QUALITY])} in the search"
+    return f"{text}{weighted if layout.survey.target_weights else ''})"
 
 
 def _result_sentence(plan: PlannedNetwork) -> list[str]:
@@ -78,7 +82,7 @@ def _result_sentence(plan: PlannedNetwork) -> list[str]:
         if plan.layout.broken_rules
         else ""
     )
-    size = _quality_value_text(TARGETS_QUALITY, sigma[worst])
+    size = f"{sigma[worst] / MICROMETRE:.1f} um"
     return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {size})."]
 
 
@@ -187,7 +191,7 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_value_text(name: str, value: float) -> str:
-    return f"{value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
+    return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
 
 
 def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
@@ -220,7 +224,7 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
         if INSTRUMENT_QUALITY in qualities:
             worse = objective_and_qualities(remaining, objective, now.construction)[0] / qualities[INSTRUMENT_QUALITY]
         else:
-            worse = without.target_rms / now.target_rms
+            worse = without.weighted_target_rms / now.weighted_target_rms
         ratio = without.instrument_sigmas / now.instrument_sigmas
         most = int(np.argmax(ratio))
         x, y, _ = survey.station_positions[s]

@@ -98,9 +98,8 @@ class _ChangeEvaluator:
     def _objective_factors(self, totals: Floats, sets: Ints, place_indices: Ints) -> Floats:
         """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
         if self._is_target_goal:
-            return self.normal_matrix_table.target_rms(totals, place_indices) / self.normal_matrix_table.target_rms(
-                self.present_normal_matrix[None], place_indices
-            )
+            rms = self.normal_matrix_table.weighted_target_rms
+            return rms(totals, place_indices) / rms(self.present_normal_matrix[None], place_indices)
         return self.normal_matrix_table.objective_values(totals, sets, self.objective) / self.present_objective
 
     def _parameter_sigmas(self, total: Floats) -> Floats:
@@ -158,7 +157,8 @@ class _ChangeEvaluator:
         self, kind: ChangeKind, value: float, removed: int | None, place: int | None, total: Floats
     ) -> PlanChange:
         common = self.present_places if removed is None else np.delete(self.present_places, removed)
-        before, after = self.normal_matrix_table.target_rms(np.stack([self.present_normal_matrix, total]), common)
+        matrices = np.stack([self.present_normal_matrix, total])
+        before, after = self.normal_matrix_table.weighted_target_rms(matrices, common)
         if self._is_target_goal:
             now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
             ratios = {name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(total, common).items()}

@@ -78,10 +78,10 @@ class NormalMatrixTable:
         """Information (B, P, P) on the parameters; NaN for undetermined unknowns."""
         return self.scorer.marginal_information(totals, np.broadcast_to(self.squared_column_norms, totals.shape[:2]))
 
-    def target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
+    def weighted_target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
         """Root mean square point error (B,) [m] of fixed targets and of reflectors at places (n,) or (B, n)."""
         rows = self._block_rows(len(totals), place_indices)
-        return self.scorer.target_rms(
+        return self.scorer.weighted_target_rms(
             totals,
             self.target_block_inverses[rows],
             self.elimination_coefficients[rows],
@@ -108,7 +108,7 @@ class NormalMatrixTable:
         information = self.information(totals)
         rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
-            rms[determined] = self.target_rms(totals[determined], place_indices[determined])
+            rms[determined] = self.weighted_target_rms(totals[determined], place_indices[determined])
         return objective.objective_values(LayoutPrecision(information, rms), self.scorer.construction.n_parameters)
 
 

@@ -33,7 +33,9 @@ class PointEntry(TomlSection):
     group: str = ""
     """Group of the point, used by tolerances."""
     weight: NonNegative = 1.0
-    """Weight of the squared point error in the quality of the targets."""
+    """Weight of the squared point error in the objective of the search. In a plan with tolerances it is divided by the
+    square of the point's tolerance; a point without one counts as if it had ten times the widest tolerance.
+    """
     tolerance_mm: Positive | None = None
     """Largest permitted point error, at the confidence level of the goal."""
 

@@ -52,7 +52,7 @@ class PlannedSurvey:
     observables: tuple[str, ...] = OBSERVABLES
     """Observables of each pointing: range and both angles, or the range alone."""
     target_weights: Mapping[str, float] = field(default_factory=dict)
-    """Weight of targets by name in the root mean square of point errors; default 1."""
+    """Weight of targets by name in the weighted root mean square of point errors; default 1."""
 
     air: AirUncertainty | None = None
     """Air that a search includes; None if no line of sight can be long enough. Final results use that of the set-up."""

@@ -80,7 +80,7 @@ TRADEOFF_TABLE = Table(
     (
         *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
         *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
-        Column("value_um", "objective, if it is only the error of the targets", title="objective"),
+        Column("value_um", "the objective, if it is only the error of the targets", title="weighted point error"),
         *columns_of(TradeoffEntry, "efficient", efficient={"title": "best layout in its time"}),
     ),
 )
@@ -118,7 +118,7 @@ REFLECTOR_CHANGES_TABLE = Table(
     (
         *numbers(number="on the floor plan"),
         *texts(change="kind of change"),
-        *numbers("r", "+.2f", gain_um="reduction of the rms error of all other points"),
+        *numbers("r", "+.2f", gain_um="reduction of the weighted point error of all other points"),
         *numbers("r", "+.1f", gain_percent="reduction of the objective"),
         *texts(most_for="parameter, or point, that gains most"),
         *numbers("r", "+.1f", sigma_percent="change of its standard deviation"),

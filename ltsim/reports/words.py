@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 QUALITY_MEASURES = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
-    "targets": ("targets: rms sigma [um]", 1e6),
+    "targets": ("targets: weighted point error [um]", 1e6),
     "diagnosis": ("effects: found / plausible size", 1.0),
 }
 """Quality measure of each goal of a plan: name with unit, and factor from SI to that unit."""

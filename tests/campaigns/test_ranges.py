@@ -60,7 +60,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
         with_target_errors=True,
     )
     slow = LayoutInformation.from_survey(there, built)
-    assert fast.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
+    assert fast.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
     known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
     np.testing.assert_allclose(known, slow.instrument_sigmas, rtol=1e-6)
     found = BatchCalibrator(truth, built).calibrate(truth.draw_block(5, 0))

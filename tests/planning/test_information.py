@@ -86,7 +86,7 @@ def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
         assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.scaled_covariance)), rel=1e-9)
         scale = np.sqrt(np.diag(fast))
         assert np.abs((fast - slow.scaled_covariance) / np.outer(scale, scale)).max() < 1e-9
-        assert out.target_rms[i] == pytest.approx(slow.target_rms, rel=1e-9)
+        assert out.weighted_target_rms[i] == pytest.approx(slow.weighted_target_rms, rel=1e-9)
 
 
 def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() -> None:
@@ -97,7 +97,7 @@ def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() ->
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws), np.arange(5)[None], with_target_errors=True
     )
-    assert out.target_rms[0] == pytest.approx(
+    assert out.weighted_target_rms[0] == pytest.approx(
         LayoutInformation.from_survey(made, ideal_construction()).target_rms, rel=1e-9
     )
 
@@ -115,7 +115,7 @@ def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
         slow = LayoutInformation.from_survey(made.replace(station_positions=position[i], station_yaws=yaw[i]))
         fast = np.linalg.inv(out.information[i])
         assert np.abs(fast - slow.scaled_covariance).max() < 1e-7
-        assert out.target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
+        assert out.weighted_target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
 
 
 def test_ranges_from_one_plane_determine_nothing() -> None:
@@ -128,7 +128,7 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(both, np.tile(YAW, 2)), np.arange(10).reshape(2, 5), with_target_errors=True
     )
-    assert np.isfinite(out.target_rms).tolist() == [True, False]
+    assert np.isfinite(out.weighted_target_rms).tolist() == [True, False]
     with pytest.raises(NetworkError, match="not in one plane"):
         LayoutInformation.from_survey(made.replace(station_positions=flat))
 
@@ -173,7 +173,7 @@ def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
         with_target_errors=True,
     )
     assert not np.isfinite(out.information).any()
-    assert not np.isfinite(out.target_rms).any()
+    assert not np.isfinite(out.weighted_target_rms).any()
 
 
 def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
@@ -237,7 +237,7 @@ def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
         with_target_errors=True,
     )
     assert np.abs(np.linalg.inv(out.information[0]) - slow.scaled_covariance).max() < 1e-9
-    assert out.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)
+    assert out.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)
     targets = {name: target.model_copy(update={"reaimed": True}) for name, target in made.setup.targets.items()}
     aimed = LayoutInformation.from_survey(made.replace(setup=made.setup.model_copy(update={"targets": targets})))
     ratio = slow.instrument_sigmas / aimed.instrument_sigmas

@@ -35,7 +35,7 @@ for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
         slow = "determined"
     except NetworkError:
         slow = "lost"
-    fast = np.isfinite(out.information).all() and np.isfinite(out.target_rms).all()
+    fast = np.isfinite(out.information).all() and np.isfinite(out.weighted_target_rms).all()
     found[name] = [slow, "determined" if fast else "lost"]
 print(json.dumps(found))
 """

@@ -6,6 +6,7 @@ import numpy as np
 
 from ltsim.core.notation import number_text
 from ltsim.core.units import MILLIMETRE
+from ltsim.planning.plan_entries import LayoutEntry
 from ltsim.planning.result import Plan
 from ltsim.reports import figures
 from ltsim.reports.document import (
@@ -93,14 +94,21 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
             0, KeyFigure("goal", "reached" if content.reached else "not reached", assessment_of(content.reached))
         )
     facts += [KeyFigure("broken rule", rule, "bad") for rule in content.broken_rules]
-    for name, value in content.quality.items():
-        if value is not None:
-            label, factor = QUALITY_MEASURES.get(name, (name, 1.0))
-            other = content.reference.quality.get(name) if content.reference else None
-            better = "plain" if other is None else assessment_of(value <= other)
-            text = number_text(factor * value) + (f" (was {number_text(factor * other)})" if other else "")
-            facts.append(KeyFigure(label, text, better))
+    reference_measures = {} if content.reference is None else _quality_measures(content.reference)
+    for label, value in _quality_measures(content).items():
+        other = reference_measures.get(label)
+        better = "plain" if other is None else assessment_of(value <= other)
+        text = number_text(value) + (f" (was {number_text(other)})" if other else "")
+        facts.append(KeyFigure(label, text, better))
     return facts
+
+
+def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
+    """Root mean square sigma of all points, then each quality in the goal, by label in units of display."""
+    measures = {name: value for name, value in layout.quality.items() if value is not None}
+    labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
+    rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}
+    return rms | {label: factor * measures[name] for name, (label, factor) in labels.items()}
 
 
 def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: bool) -> tuple[list[Block], list[Block]]:

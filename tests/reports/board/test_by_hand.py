@@ -133,7 +133,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     assert len(scenario.targets) == 30
     made = lt.plan(tmp_path / "moved").network
     assert made.layout.survey.station_positions[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
-    assert 1e6 * made.layout.qualities["targets"] == pytest.approx(wanted["rms_um"])
+    assert made.layout.information.target_rms == pytest.approx(1e-6 * wanted["rms_um"])
     assert made.tolerance_check is not None
     recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
     assert len(recording.stations) == 3
@@ -149,9 +149,7 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
     planned = json.loads((tmp_path / "made" / "plan.json").read_text())
     board = MovableLayout.from_plan(tmp_path / "made")
     assert [s["mm"] for s in board.hall_json()["stations"]] == [s["position_mm"] for s in planned["stations"]]
-    assert board.evaluation(board.hall_json()["stations"])["rms_um"] == pytest.approx(
-        1e6 * planned["quality"]["targets"], rel=1e-4
-    )
+    assert board.evaluation(board.hall_json()["stations"])["rms_um"] == pytest.approx(planned["rms_sigma_um"], rel=1e-4)
 
 
 @pytest.mark.parametrize(
