@@ -140,10 +140,9 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MIN_CONTRADICTION_SIGMAS))
 
 
-def verdict_entry(adjustment: Adjustment, with_constants: FitEntry | None = None) -> Verdict:
-    """Verdict on the test to trust at the level `AGREEMENT_LEVEL`; `with_constants` is the fit with them estimated."""
-    fit = None if with_constants is None else (with_constants.chi2, with_constants.dof)
-    return verdict_on(adjustment, AGREEMENT_LEVEL, fit)
+def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
+    """Verdict on the test to trust at the level `AGREEMENT_LEVEL`; `fit` is that with the constants estimated."""
+    return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

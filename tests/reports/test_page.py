@@ -16,8 +16,9 @@ import pytest
 
 from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
+from ltsim.adjustment.identification.tests import CausePlace, CauseTest
 from ltsim.calibration.files import write_calibration
-from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.network import adjust, calibrate_network
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.physics.effects import title_of
@@ -394,3 +395,17 @@ def test_targets_without_a_height_are_told_in_plan() -> None:
     said = target_uncertainty_sentence(np.array([known, open_, open_]))
     assert said == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
     assert not target_uncertainty_sentence(np.full((2, 3), np.nan))
+
+
+def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path: Path) -> None:
+    content = adjust(samples.recording()).model_copy(update={"with_constants": None})
+    content = content.model_copy(update={"fit": content.fit.model_copy(update={"p_value": 0.4})})
+    where = CausePlace(stations=("S2",))
+    fault = CauseTest(kind="constant-offset", acts_on="distance", where=where, statistic=99.0, dof=1, sigma=0.1)
+    for tests, headline in (((), "is consistent."), ((fault,), "after the correction of an error.")):
+        write_calibration(content.model_copy(update={"tests": tests}), tmp_path / str(len(tests)))
+        shown = document_of_folder(tmp_path / str(len(tests)))
+        assert shown.headline.endswith(headline)
+        assert ("The model corrects 1 error at S2, with 1 degree of freedom." in shown.summary) == bool(tests)
+    assert shown.assessment == "caution"
+    assert shown.next_actions[0] == "Check the SMR and the distance constant at S2; correct the wrong one."

@@ -12,6 +12,7 @@ ACTIONS_BY_CAUSE = {
         "Check the temperature, the pressure and the unit of the distances at {place}; correct the distances, and "
         "evaluate the recording again."
     ),
+    "centring": "Check the nests and the centring of the reflectors{at_place}, and measure again.",
     "target-moved": "Inspect the nest of {place}, and measure this target again from all set-ups.",
     "station-bump": "Check the tripod of {place}, and measure this set-up again.",
     "station-drift": "Let the tripod of {place} settle, and measure this set-up again.",

@@ -88,7 +88,7 @@ ADVICE_SENTENCES = {
     "cause": "an independent measurement of its cause",
     "determined": "{do} (gain {now:.2f} to {then:.2f})",
     "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
-    "not determined": "no tested measurement determines it; only a tighter specification does",
+    "not determined": "no tested measurement determines it; reference points or a tighter specification may",
 }
 """Sentences of advice by kind of remedy: the action, and its benefit."""
 

@@ -31,8 +31,8 @@ MAX_UNINFORMATIVE_GAIN = 0.01
 """
 MIN_REPORTED_COEFFICIENT = 0.1
 """Smallest coefficient of a combination that is reported."""
-MIN_WORTHWHILE_GAIN_INCREASE = 0.05
-"""Smallest increase of a gain that is worth a measurement."""
+MIN_WORTHWHILE_GAIN_INCREASE = 0.25
+"""Smallest increase of a gain that is worth a measurement: half of the gain of a determined combination."""
 
 
 GAIN_ROUNDING_ERROR = 1e-9

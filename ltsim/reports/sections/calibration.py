@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment.identification.actions import cause_actions
+from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import (
@@ -266,7 +267,8 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
     if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
-    cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
+    measurements = [e.cure for e in content.undetermined if e.cure not in ("", advice_sentence("not determined"))]
+    cures = dict.fromkeys(cure.partition(" (gain ")[0] for cure in measurements)
     actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]
     if content.parameters and is_accepted and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")

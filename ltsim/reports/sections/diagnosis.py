@@ -61,6 +61,8 @@ MAX_MARKED_TARGETS = 12
 """Largest number of targets that are marked in one picture."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Threshold [um] below which the error that an undetectable effect causes in targets is negligible."""
+MIN_SEPARATED_PROBABILITY = 0.05
+"""Smallest probability of an alternative that is worth a measurement, by convention 5 %."""
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of actions besides the use of the coordinates."""
 MAX_STEP_POINTS = 3
@@ -124,12 +126,21 @@ def _next_actions(content: Diagnosis) -> list[str]:
     """Next actions: the measurement that separates explanations, places to inspect, coordinates to use."""
     if not content.findings:
         return []
-    separate = [as_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
+    separate = [
+        as_sentence(finding.separate_by)
+        for finding in content.findings
+        if finding.separate_by and _has_probable_alternative(finding)
+    ]
     inspect = [_inspection_action(finding) for finding in content.findings]
     use = "Use the coordinates in targets.csv, which account for the findings"
     moved = [name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets]
     use += f"; those of {listing(moved)} are from before the motion." if moved else "."
     return [*separate[:1], *dict.fromkeys(inspect[: MAX_INSPECTION_ACTIONS - len(separate[:1])]), use]
+
+
+def _has_probable_alternative(finding: Finding) -> bool:
+    """True if an alternative in the catalogue is probable enough for a measurement that excludes it."""
+    return any(e.effect != "unknown" and e.probability >= MIN_SEPARATED_PROBABILITY for e in finding.equivalents)
 
 
 def _inspection_action(finding: Finding) -> str:

@@ -1,0 +1,30 @@
+"""Next actions after identified causes: one for each kind, with its place."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from ltsim.adjustment.identification.actions import cause_action, cause_actions
+from ltsim.adjustment.identification.hypothesis import CauseKind
+from ltsim.adjustment.identification.tests import CausePlace, CauseTest
+
+
+def cause(kind: str, acts_on: str = "distance", estimate: float = 1.0) -> CauseTest:
+    place = CausePlace(stations=("ST3",), targets=("T7",) if kind == "outlier" else ())
+    return CauseTest(kind=kind, acts_on=acts_on, where=place, statistic=99.0, dof=1, estimate=estimate, rows=(4,))
+
+
+def test_each_kind_of_cause_has_an_action() -> None:
+    for kind in get_args(CauseKind):
+        action = cause_action(cause(kind))
+        assert action.endswith(".") and "{" not in action, kind
+        assert "ST3" in action or kind == "reference-scale", kind
+    assert cause_action(cause("outlier")) == "Measure again T7 from ST3 (row 4)."
+    assert "vertical index" in cause_action(cause("constant-offset", "elevation"))
+
+
+def test_noise_smaller_than_declared_is_no_fault() -> None:
+    quiet, loud, again = (cause("noise-level", "noise", size) for size in (0.5, 3.0, 4.0))
+    assert not quiet.is_fault and loud.is_fault
+    assert cause_actions([quiet, loud, again]) == [cause_action(loud)]
+    assert not cause("names").model_copy(update={"accepted": False}).is_fault
