@@ -149,9 +149,7 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
     planned = json.loads((tmp_path / "made" / "plan.json").read_text())
     board = MovableLayout.from_plan(tmp_path / "made")
     assert [s["mm"] for s in board.hall_json()["stations"]] == [s["position_mm"] for s in planned["stations"]]
-    assert board.evaluation(board.hall_json()["stations"])["rms_um"] == pytest.approx(
-        planned["rms_sigma_um"], rel=1e-4
-    )
+    assert board.evaluation(board.hall_json()["stations"])["rms_um"] == pytest.approx(planned["rms_sigma_um"], rel=1e-4)
 
 
 @pytest.mark.parametrize(
