@@ -114,21 +114,25 @@ def _comparison_pairs(
                 yield rest | several, (cell, method), (levels.index(settings | {factor_name: second_level}), method)
 
 
-def _level_of(factor_name: str, given: Any, levels: Sequence[Any]) -> Any:
+def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
     """Level of a factor that is given as itself, with its unit as in the file, or rounded to at least three digits.
 
     Raises ModelError for a value that is no level, or that is the rounded value of several levels.
     """
     distinct = list(dict.fromkeys(levels))
-    if given in distinct:
-        return given
-    value = parse_in_unit(given, unit_of_key(factor_name)) if isinstance(given, str) else given
+    if requested_level in distinct:
+        return requested_level
+    value = (
+        parse_in_unit(requested_level, unit_of_key(factor_name))
+        if isinstance(requested_level, str)
+        else requested_level
+    )
     if isinstance(value, int | float) and not isinstance(value, bool):
         numbers = [k for k in distinct if isinstance(k, int | float)]
         near = [k for k in numbers if math.isclose(k, value, rel_tol=LEVEL_ROUNDING)]
         if len(near) == 1:
             return near[0]
-    raise unknown_name(f"level of {factor_name}", str(given), [str(k) for k in distinct])
+    raise unknown_name(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
