@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +13,13 @@ from ltsim.campaigns.schema import sql_terms
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.results import ColumnValues, Result, columns_from_rows
+from ltsim.core.units import parse_in_unit, unit_of_key
 
 if TYPE_CHECKING:
     from ltsim.campaigns.statistics import CampaignStatistics  # needs packages that few install
 
+LEVEL_ROUNDING = 5e-4
+"""Largest relative difference between a level and its rounded value, that of three digits."""
 CellMethod = tuple[int, str]
 """Cell and method."""
 
@@ -100,9 +103,7 @@ def _comparison_pairs(
     if factor_name not in ("method", *factors):
         raise unknown_name("factor of this campaign", factor_name, ("method", *factors))
     choices = list(methods) if factor_name == "method" else [level[factor_name] for level in levels]
-    for level in (first_level, second_level):
-        if level not in choices:
-            raise unknown_name(f"level of {factor_name}", str(level), [str(k) for k in dict.fromkeys(choices)])
+    first_level, second_level = (_level_of(factor_name, level, choices) for level in (first_level, second_level))
     for cell, settings in enumerate(levels):
         if factor_name == "method":
             yield dict(settings), (cell, first_level), (cell, second_level)
@@ -111,6 +112,27 @@ def _comparison_pairs(
             for method in methods:
                 several = {"method": method} if len(methods) > 1 else {}
                 yield rest | several, (cell, method), (levels.index(settings | {factor_name: second_level}), method)
+
+
+def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
+    """Level of a factor that is given as itself, with its unit as in the file, or rounded to at least three digits.
+
+    Raises ModelError for a value that is no level, or that is the rounded value of several levels.
+    """
+    distinct = list(dict.fromkeys(levels))
+    if requested_level in distinct:
+        return requested_level
+    value = (
+        parse_in_unit(requested_level, unit_of_key(factor_name))
+        if isinstance(requested_level, str)
+        else requested_level
+    )
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        numbers = [k for k in distinct if isinstance(k, int | float)]
+        near = [k for k in numbers if math.isclose(k, value, rel_tol=LEVEL_ROUNDING)]
+        if len(near) == 1:
+            return near[0]
+    raise unknown_name(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ from ltsim.planning.plan_change import to_millimetres
 from ltsim.planning.plan_entries import StationEntry
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.survey import PlannedSurvey
+from ltsim.recordings.air import AirUncertainty
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 
@@ -22,7 +23,7 @@ def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
 
 
 def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
-    """Scenario with the stations, reflectors and measuring procedure of a survey."""
+    """Scenario with the stations, reflectors, measuring procedure and uncertainty of the air of a survey."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
@@ -43,9 +44,8 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
         "minutes_per_move": survey.seconds_per_move / 60.0,
     }
     work = scenario.work.model_copy(update=way | {"stations": None})
-    return scenario.model_copy(
-        update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
-    )
+    changes = {"stations": stations, "targets": targets, "work": work, "air": scenario.air or AirUncertainty()}
+    return scenario.model_copy(update=changes | {"title": title or scenario.title})
 
 
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:

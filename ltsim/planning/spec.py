@@ -129,7 +129,10 @@ class BudgetSettings(TomlSection):
 
 
 class PointTolerance(TomlSection):
-    """Tolerance of points: all points of a group within a distance, at the confidence level of the goal."""
+    """Tolerance of points: all points of a group within a distance, at the confidence level of the goal.
+
+    Tolerances of lengths between points are not goals of a plan; `ltsim uncertainty` evaluates them.
+    """
 
     group: str = ""
     """Group in the list of points; default all points of the list."""

@@ -119,8 +119,8 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
 
     They are first those within reach of a tape, then along the floor, then the nearest.
 
-    Distances along the floor lead to points that can be plumbed and to corners of the room, if the path is free; others
-    lead straight to visible reflectors.
+    Distances along the floor lead to points that can be plumbed and to corners of the room, if no body and no keep-out
+    area is in the path; others lead straight to visible reflectors.
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
@@ -128,6 +128,9 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
     plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
     level = [TapeDistance.from_station(name, point, place, floor=True) for name, point in plumbed]
+    tapes = [np.stack([place[:2], mark.end_point[:2]]) for mark in level]
+    crossed = [any(area.is_crossed(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
+    level = [mark for mark, is_crossed in zip(level, crossed, strict=True) if not is_crossed]
     if obstacles is not None:
         ends = np.array([[*mark.end_point[:2], FREE_TAPE_HEIGHT] for mark in level])
         blocked = obstacles.is_blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)

@@ -13,8 +13,15 @@ def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
     survey = plan.network.layout.survey
     title = f"Work order: {plan.title or 'the plan'}"
-    section = Section(title=title, kind="Work order", summary=f"{survey.extent_text}.", blocks=_work_order_blocks(plan))
-    return page_html(Document(title, section.summary, "plain", [section], package_versions()))
+    is_rejected = plan.reached is False or bool(plan.broken_rules)
+    section = Section(
+        title=title,
+        kind="Work order",
+        summary=f"Do not measure this layout: {plan.summary}" if is_rejected else f"{survey.extent_text}.",
+        assessment="bad" if is_rejected else "plain",
+        blocks=_work_order_blocks(plan),
+    )
+    return page_html(Document(title, section.summary, section.assessment, [section], package_versions()))
 
 
 def _work_order_blocks(plan: Plan) -> list[Block]:

@@ -205,6 +205,11 @@ class KeepOutArea:
         near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
         return near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else near
 
+    def is_crossed(self, path: Floats) -> bool:
+        """True if the path between two places (2, 2) [m] crosses the outline or the segment, without its clearance."""
+        shape = shapely.polygons(self.outline) if len(self.outline) > 2 else shapely.linestrings(self.outline)
+        return bool(shapely.intersects(shape, shapely.linestrings(path)))
+
 
 def distance_to_outline(outline: Floats, places: Floats) -> Floats:
     """Distance (N,) [m] from places (N, 2) to an outline (k, 2), or to the segment between two points (2, 2)."""

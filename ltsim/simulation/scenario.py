@@ -45,7 +45,7 @@ MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
-    "gauge",
+    "gauge", "air",
 )  # fmt: skip
 """Keys whose defaults are always written to a scenario's file."""
 REMOVAL_VALUE = "none"
@@ -396,4 +396,4 @@ def scenario_to_toml(scenario: Scenario) -> str:
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
     table: dict[str, Any] = {name: whole[name] for name in ALWAYS_WRITTEN_KEYS if name in whole}
     table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
-    return to_toml(table | {kind: brief[kind] for kind in ("air", "lengths", "effects") if kind in brief})
+    return to_toml(table | {kind: brief[kind] for kind in ("lengths", "effects") if kind in brief})

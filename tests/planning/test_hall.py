@@ -14,15 +14,18 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
+from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.site import SearchSpace, StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
+from ltsim.recordings.air import AirUncertainty
 from ltsim.reports.work_order import work_order_page
 from ltsim.scene.floor import Floor, areas_and_keep_outs, is_allowed_position, is_inside_outline, outline_error
 from ltsim.scene.meshes import cylinder_triangles, join_obstacles
 from ltsim.scene.visibility import compute_visibility
+from ltsim.simulation.scenario import scenario_to_toml
 from ltsim.simulation.workshop import make_sight_limits, planned_layout
 from tests.recordings.test_limits import VERB, means
 
@@ -234,7 +237,36 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     assert not content.network.tolerance_check.meets_all
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
     assert not content.reached
+    page = work_order_page(content)
+    assert "Do not measure this layout: Not reached: 0 of 30 tolerances are met" in page
     assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
+
+
+def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path: Path) -> None:
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n" + goal), encoding="utf-8")
+    content = lt.plan(hall)
+    sigma = np.array([r.sigma_um for r in content.reflectors], dtype=np.float64)
+    assert content.rms_sigma_um == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=1e-3)
+    tolerated = sigma[[r.tolerance_mm is not None for r in content.reflectors]]
+    weight = np.where([r.tolerance_mm is not None for r in content.reflectors], 1.0, 0.01)
+    weighted = np.sqrt(np.average(sigma**2, weights=weight))  # ten times the tolerance for points without one
+    assert 1e6 * (content.quality["targets"] or 0.0) == pytest.approx(weighted, rel=1e-3)
+    assert np.sqrt(np.mean(tolerated**2)) < 0.95 * content.rms_sigma_um
+    text = f"targets known to {content.rms_sigma_um:.1f} um (root mean square of all points; weighted point error"
+    assert text in content.reasons[0]
+    assert "not measure" not in work_order_page(content)
+    scenario = scenario_of_plan(content.network)
+    assert scenario.air == AirUncertainty()
+    (tmp_path / "scenario.toml").write_text(scenario_to_toml(scenario), encoding="utf-8")
+    assert "[air]\ntemperature_k = 0.5" in (tmp_path / "scenario.toml").read_text(encoding="utf-8")
+    for setting, place in zip(
+        station_instructions(content.network), content.network.layout.survey.station_positions, strict=True
+    ):
+        for tape in setting.tape_distances:
+            path = np.linspace(place[:2], tape.end_point[:2], 200)
+            crane_way = (path[:, 0] > 4.0) & (path[:, 0] < 5.5) & (path[:, 1] > 0.6) & (path[:, 1] < 2.8)
+            assert not (tape.is_along_floor and crane_way.any())
 
 
 def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:

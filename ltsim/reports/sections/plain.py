@@ -215,6 +215,12 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
+UNKNOWN_SITE_SENTENCE = (
+    "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall."
+)
+"""Sentence on what the proposals of new stations do not know."""
+
+
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
     best = content.proposals[0]
@@ -225,6 +231,8 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
     proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
+    if any(proposal.position_mm is not None for proposal in content.proposals):
+        note += f" {UNKNOWN_SITE_SENTENCE}"
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
