@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.identification.centring_errors import best_centring_sigma
+from ltsim.adjustment.identification.centring_errors import MIN_POINTINGS_PER_OCCUPATION, best_centring_sigma
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
@@ -25,8 +25,6 @@ MAX_CENTRING_OCCUPATIONS = 200
 """Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
 MIN_OCCUPATIONS_PER_TARGET = 1.5
 """Smallest mean number of occupations of a target: with one, the displacement is part of its coordinates."""
-MIN_POINTINGS_PER_CENTRING = 1.5
-"""Smallest mean number of pointings in an occupation; without repeats centring errors are noise."""
 
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
@@ -95,5 +93,5 @@ def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_OCCUPATIONS_PER_TARGET * targets
-        and len(rows) >= MIN_POINTINGS_PER_CENTRING * count
+        and len(rows) >= MIN_POINTINGS_PER_OCCUPATION * count
     )

@@ -57,16 +57,18 @@ def _quality_text(plan: PlannedNetwork) -> str:
     templates = {
         INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
-        TARGETS_QUALITY: _target_rms_text(plan.layout) if TARGETS_QUALITY in plan.layout.qualities else "",
         DIAGNOSIS_QUALITY: "effects detectable from {:.2f} of their plausible size (geometric mean)",
     }
-    return ", ".join(templates[name].format(value) for name, value in plan.layout.qualities.items())
+    return ", ".join(
+        _target_rms_text(plan.layout, value) if name == TARGETS_QUALITY else templates[name].format(value)
+        for name, value in plan.layout.qualities.items()
+    )
 
 
-def _target_rms_text(layout: LayoutEvaluation) -> str:
-    """Text of the root mean square over all points, and of the weighted one if the weights of the points differ."""
+def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
+    """Text of the root mean square over all points, and of the weighted one [m] if the weights of the points differ."""
     text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
-    weighted = f"; {_quality_value_text(TARGETS_QUALITY, layout.qualities[TARGETS_QUALITY])} in the search"
+    weighted = f"; {_quality_value_text(TARGETS_QUALITY, weighted_rms)} in the search"
     return f"{text}{weighted if layout.survey.target_weights else ''})"
 
 

@@ -35,7 +35,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.effects.motions import exact_target_change
-from ltsim.physics.effects.signature import design_from_displacements
+from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
@@ -183,10 +183,7 @@ class CentringEstimate(NamedTuple):
 
 def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstimate:
     """Most likely standard deviation of centring errors of the occupations (n,), -1 for none."""
-    moved = np.zeros((len(occupation), 3, int(occupation.max()) + 1, 3))
-    rows = np.flatnonzero(occupation >= 0)
-    moved[rows, :, occupation[rows]] = np.eye(3)
-    signature = space.whiten(design_from_displacements(space.sightings, moved.reshape(len(occupation), 3, -1)))
+    signature = space.whitened_signature(CentringErrors(1.0, occupation))
     projected = space.project(signature)
     strength, turn = np.linalg.eigh(projected.T @ projected)
     visible = strength > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(signature**2, axis=0)))

@@ -9,7 +9,7 @@ from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects.effect import Effect, design_from_displacements
-from ltsim.physics.effects.signature import Linearisation
+from ltsim.physics.effects.signature import Linearisation, Signature
 from ltsim.scene.sightings import Sightings
 
 
@@ -24,12 +24,6 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
     return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
-
-
-def linearised_target_change(sightings: Sightings, displacement: Floats, values: Floats) -> Linearisation:
-    """Change of the raw readings by motions (n, 3, p) [m] of each pointing's target per unit of `values` (p,)."""
-    apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
-    return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
 
 
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
@@ -72,9 +66,8 @@ def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
     return change
 
 
-@dataclass(frozen=True)
-class TargetMotion(Effect):
-    """Base class of effects that move targets, or their apparent positions."""
+class TargetDisplacement(Signature):
+    """Base class of signatures that displace targets, or their apparent positions."""
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
@@ -87,7 +80,14 @@ class TargetMotion(Effect):
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
     def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
-        return linearised_target_change(sightings, self.displacement(sightings), values)
+        displacement = self.displacement(sightings)
+        apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
+        return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
+
+
+@dataclass(frozen=True)
+class TargetMotion(TargetDisplacement, Effect):
+    """Base class of effects that move targets, or their apparent positions."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
-from ltsim.physics.effects.motions import exact_target_change, linearised_target_change
-from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_displacements
+from ltsim.physics.effects.motions import TargetDisplacement
+from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
     OBSERVABLES,
@@ -76,7 +76,7 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
 
 
 @dataclass(frozen=True)
-class CentringErrors(Signature):
+class CentringErrors(TargetDisplacement):
     """Displacements of reflectors from their targets, three components for each occupation of a target."""
 
     sigma: float
@@ -105,18 +105,6 @@ class CentringErrors(Signature):
         rows = np.flatnonzero(self.occupation >= 0)
         displacements[rows, :, self.occupation[rows]] = np.eye(3)
         return displacements.reshape(len(sightings), 3, -1)
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings per unit of each component."""
-        return design_from_displacements(sightings, self.displacement(sightings))
-
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        """Exact change (n, 3) of the raw readings by displacements (q,)."""
-        return exact_target_change(sightings, self.displacement(sightings) @ values)
-
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """Change of the readings at displacements (q,), with its derivatives."""
-        return linearised_target_change(sightings, self.displacement(sightings), values)
 
 
 def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:

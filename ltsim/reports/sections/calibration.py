@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.calibration.calibration import Calibration
@@ -116,11 +117,12 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     blocks += undetermined_table("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
+    accepted = "caution" if good and _corrected_faults(content) else assessment_of(good)
     return Section(
         title=f"{kind}: {named}" if named else f"{kind} of {count_text(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         summary=_answer_sentence(content, words, targets),
-        assessment="plain" if needs_constants else "caution" if good and _has_fault(content) else assessment_of(good),
+        assessment="plain" if needs_constants else accepted,
         key_figures=_key_figures(content, agrees=agrees),
         blocks=blocks,
         next_actions=_next_actions(content, is_accepted=good),
@@ -165,14 +167,14 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
     return f"{begin}{accuracy}".rstrip()
 
 
-def _has_fault(content: Calibration) -> bool:
-    """True if the model of the result corrects a cause other than an outlier."""
-    return any(test.is_fault and test.kind != "outlier" for test in content.tests)
+def _corrected_faults(content: Calibration) -> list[CauseTest]:
+    """Causes other than outliers that the model of the result corrects."""
+    return [test for test in content.tests if test.is_fault and test.kind != "outlier"]
 
 
 def _corrections_sentence(content: Calibration) -> str:
     """Sentence on the causes in the model of the result, with a leading blank; empty without one."""
-    faults = [test for test in content.tests if test.is_fault and test.kind != "outlier"]
+    faults = _corrected_faults(content)
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
@@ -251,7 +253,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first."""
-    actions = cause_actions(test for test in content.tests if test.kind != "outlier")
+    actions = cause_actions(_corrected_faults(content))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
