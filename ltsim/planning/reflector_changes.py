@@ -17,16 +17,18 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 
 MIN_REPORTED_IMPROVEMENT = 0.002
-"""Smallest relative improvement of the quality at which a change is reported."""
+"""Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
 UNCHANGED_QUALITY = 5e-4
-"""Relative change of the quality up to which the quality counts as unchanged."""
+"""Largest relative change of the objective that is reported as no difference."""
 MAX_REPORTED_CHANGES = 3
 """Largest number of reported changes of each kind."""
 
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 ChangeResult = tuple[float, int | None, int | None, Floats]
-"""Factor on the quality, removed reflector, occupied place, and the resulting normal matrix."""
+"""Factor on the objective, index of the removed reflector or None, index of the occupied place or None, and resulting
+normal matrix (K, K).
+"""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,10 @@ def evaluate_reflector_changes(
     objective: LayoutObjective,
     construction: Construction,
 ) -> ReflectorChanges:
-    """Results of every move, addition and removal of one reflector except the fixed ones (`is_fixed` (T,))."""
+    """Results of every move, addition and removal of one reflector.
+
+    Reflectors flagged in `is_fixed` (T,) do not change.
+    """
     if is_fixed.all() and search_space.candidate_nests is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
     return _ChangeEvaluator(
@@ -92,24 +97,30 @@ class _ChangeEvaluator:
 
     @property
     def _is_target_goal(self) -> bool:
-        """True if the goal is the error of targets alone."""
+        """True if only the point errors of targets have a weight in the goal."""
         return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
 
-    def _objective_factors(self, totals: Floats, sets: Ints, place_indices: Ints) -> Floats:
-        """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
+    def _objective_factors(self, totals: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
+        """Factors (B,) on the objective for normal matrices (B, K, K) with reflectors at `occupied_places` (B, n).
+
+        If only targets have a weight, the factors are on their point error without the changed reflector:
+        `other_places` are the places of all others.
+        """
         if self._is_target_goal:
             rms = self.normal_matrix_table.weighted_target_rms
-            return rms(totals, place_indices) / rms(self.present_normal_matrix[None], place_indices)
-        return self.normal_matrix_table.objective_values(totals, sets, self.objective) / self.present_objective
+            return rms(totals, other_places) / rms(self.present_normal_matrix[None], other_places)
+        return (
+            self.normal_matrix_table.objective_values(totals, occupied_places, self.objective) / self.present_objective
+        )
 
     def _parameter_sigmas(self, total: Floats) -> Floats:
-        """Standard deviations of the instrument's parameters in prior sigmas."""
+        """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
         size = self.normal_matrix_table.scorer.construction.n_parameters
         information = self.normal_matrix_table.information(total[None])[0, :size, :size]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Places that are free and far enough from the reflectors in use."""
+        """Indices of the places that are free and far enough from the reflectors in use."""
         open_ = ~self.is_too_near[:, used_places].any(axis=1)
         open_[self.present_places] = False
         return np.flatnonzero(open_)
@@ -126,13 +137,13 @@ class _ChangeEvaluator:
             start_matrix = (
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
-            sets = np.column_stack([np.tile(others, (len(places), 1)), places])
+            occupied_places = np.column_stack([np.tile(others, (len(places), 1)), places])
             totals = start_matrix + terms[places]
             if kind == "remove":
-                sets, totals = others[None], start_matrix[None]
-            if not len(sets):
+                occupied_places, totals = others[None], start_matrix[None]
+            if not len(occupied_places):
                 return
-            values = self._objective_factors(totals, sets, others)
+            values = self._objective_factors(totals, occupied_places, others)
             tried[kind] += len(values)
             helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
@@ -194,7 +205,7 @@ def _change_sentence(change: PlanChange) -> str:
 
 
 def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:
-    """Best change for each place, and all changes that need no place."""
+    """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
     for change in changes:
         if change[2] is None or change[2] not in places:
