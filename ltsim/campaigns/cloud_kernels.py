@@ -67,7 +67,7 @@ def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> 
 
 
 @compile_function
-def align_rigidly(cloud: Floats, goal_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
+def align_rigidly(cloud: Floats, reference_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
     """Rigid least-squares alignment of a cloud (T, 3, B) to another cloud, written to `aligned_cloud`.
 
     Only the targets flagged in `used_targets` (T,) are fitted.
@@ -75,14 +75,14 @@ def align_rigidly(cloud: Floats, goal_cloud: Floats, used_targets: Bools, aligne
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
     _centre_cloud(cloud, used_targets, middle)
-    _centre_cloud(goal_cloud, used_targets, aim)
+    _centre_cloud(reference_cloud, used_targets, aim)
     k = np.zeros((3, 3, trials))
     for i in range(len(cloud)):
         if used_targets[i]:
             for a in range(3):
                 for b in range(3):
                     for t in range(trials):
-                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (goal_cloud[i, b, t] - aim[b, t])
+                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (reference_cloud[i, b, t] - aim[b, t])
     turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
@@ -149,7 +149,7 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 
 @compile_function
-def add_square_error(aligned_cloud: Floats, goal_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
+def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
     """Number of used targets; the sum of their squared distances between two clouds is added to `square_sum` (B,)."""
     count = 0
     for i in range(len(aligned_cloud)):
@@ -157,7 +157,7 @@ def add_square_error(aligned_cloud: Floats, goal_cloud: Floats, used_targets: Bo
             count += 1
             for c in range(3):
                 for t in range(len(square_sum)):
-                    gap = aligned_cloud[i, c, t] - goal_cloud[i, c, t]
+                    gap = aligned_cloud[i, c, t] - reference_cloud[i, c, t]
                     square_sum[t] += gap * gap
     return count
 
@@ -234,24 +234,24 @@ def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats
 
 
 @compile_function
-def _add_line_force(
+def _add_line_derivative(
     first_point: Floats,
     second_point: Floats,
-    first_force: Floats,
-    second_force: Floats,
-    force_size: Floats,
+    first_gradient: Floats,
+    second_gradient: Floats,
+    derivative_size: Floats,
     length: Floats,
 ) -> None:
     """Addition of the derivative of a distance objective to the gradients (3, B) with respect to two points.
 
-    The derivative is a vector of size `force_size` (B,) along the line between the points; `length` (B,) is their
+    The derivative is a vector of size `derivative_size` (B,) along the line between the points; `length` (B,) is their
     distance.
     """
     for c in range(3):
-        for t in range(len(force_size)):
-            part = force_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
-            first_force[c, t] += part
-            second_force[c, t] -= part
+        for t in range(len(derivative_size)):
+            part = derivative_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
+            first_gradient[c, t] += part
+            second_gradient[c, t] -= part
 
 
 @compile_function
@@ -278,10 +278,10 @@ def _reference_length_index(gauge: Ints, first_target: int, second_target: int) 
 
 
 @compile_function
-def distance_forces(
-    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats
+def distance_gradient(
+    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, point_gradient: Floats, cost: Floats
 ) -> None:
-    """Half of the derivative of the distance objective with respect to all points, added to `forces` (O, T, 3, B).
+    """Half of the derivative of the distance objective by the points, added to `point_gradient` (O, T, 3, B).
 
     `clouds` (O, T, 3, B) [m] are the points on T targets in O sets; a set is a station and face. `is_visible` (O, T)
     marks the measured ones. The g pairs of targets `gauge` (g, 2) have the reference lengths `length` (g, B) [m]. The
@@ -313,4 +313,6 @@ def distance_forces(
                         gap = lengths[s, t] - length[gauge_index, t]
                         size[t] += gap
                         cost[t] += gap * gap
-                _add_line_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, lengths[s])
+                _add_line_derivative(
+                    clouds[s, i], clouds[s, j], point_gradient[s, i], point_gradient[s, j], size, lengths[s]
+                )

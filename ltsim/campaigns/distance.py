@@ -27,7 +27,7 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, SetDistances
 from ltsim.campaigns.batch_fit import BatchFit
-from ltsim.campaigns.cloud_kernels import add_station_means, distance_forces
+from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
 from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock, set_membership
 from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
 from ltsim.campaigns.program import ChainProgram
@@ -158,7 +158,7 @@ class BatchDistance(BatchCalibrator):
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
-            distance_forces(clouds, visible, gauge, length, forces, np.zeros(trials))
+            distance_gradient(clouds, visible, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)

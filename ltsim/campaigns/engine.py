@@ -137,17 +137,17 @@ def recording_of_trial(truth: CellTruth, block: TrialBatch, trial: int) -> Recor
     return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.growth_factors)
 
 
-def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
-    """Adjusted targets (T, 3) [m] after rigid alignment to `goal_points` (T, 3); NaN for undetermined targets.
+def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
+    """Adjusted targets (T, 3) [m] after rigid alignment to `reference_points` (T, 3); NaN for undetermined targets.
 
     Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
     is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.is_measured[:, 1:].any():
-        return align_to_points(points, goal_points)
-    hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
-    return min(hands, key=lambda moved: float(np.nansum((moved - goal_points) ** 2)))
+        return align_to_points(points, reference_points)
+    hands = [align_to_points(points * hand, reference_points) for hand in (1.0, [1.0, 1.0, -1.0])]
+    return min(hands, key=lambda moved: float(np.nansum((moved - reference_points) ** 2)))
 
 
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:

@@ -52,7 +52,7 @@ def evaluation_schedule(trials: int, shard: int) -> list[int]:
 
 
 def iterate_rounds(
-    campaign: CampaignFile, cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
+    campaign: CampaignFile, n_cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
 ) -> Iterator[list[ShardKey]]:
     """Shards to be computed, round by round; a round begins when all shards of the previous one are finished.
 
@@ -60,9 +60,9 @@ def iterate_rounds(
     of the confidence interval of the mean, by cell and method.
     """
     if (stop := campaign.stop) is None:
-        yield [(cell, shard) for cell in range(cells) for shard in range(campaign.n_shards_per_cell)]
+        yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]
         return
-    open_, done = list(range(cells)), 0
+    open_, done = list(range(n_cells)), 0
     for goal in evaluation_schedule(campaign.trials, campaign.shard):
         yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
         half, done = half_intervals(stop.statistic, goal), goal

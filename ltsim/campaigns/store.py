@@ -93,10 +93,10 @@ class CampaignFolder:
         except (pa.ArrowException, OSError) as problem:
             raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
-    def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
+    def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that the shards are unchanged since they were written, and belong to their cells.
 
-        `marks` holds the digest of each cell by its number. Raises OSError, ValueError or pyarrow.ArrowException.
+        `cell_digests` is the digest of each cell by its number. Raises OSError, ValueError or pyarrow.ArrowException.
         """
         digests = self.digests()
         for path in shards:
@@ -106,7 +106,7 @@ class CampaignFolder:
                     raise ValueError(f"{name} was changed since it was written")
                 continue
             label = _shard_metadata(read_shard(path))
-            if label.get("campaign") != marks.get(int(label.get("cell", -1))):
+            if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} belongs to another campaign")
 
     def digests(self) -> dict[str, str]:

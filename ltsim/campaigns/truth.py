@@ -76,7 +76,7 @@ class CellTruth:
     state: NetworkState
     """True poses and targets in the frame in which a calibrator starts, that of the first station."""
     distributions: TrialDistributions
-    """Distributions of the random values of a trial; its sightings may be in another frame."""
+    """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings of each instrument, (I, 3) [m, rad, rad]; 0 for none."""
     recorded_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))

@@ -255,7 +255,7 @@ class LayoutScorer:
 
         Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
-        schur, squared_norms, inverse, weights = self.eliminate_targets(blocks, setup_indices)
+        schur, squared_norms, inverses, coefficients = self.eliminate_targets(blocks, setup_indices)
         size = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
         has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
@@ -263,7 +263,7 @@ class LayoutScorer:
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.weighted_target_rms(
-                schur[determined], inverse[determined], weights[determined], self.mesh_targets
+                schur[determined], inverses[determined], coefficients[determined], self.mesh_targets
             )
         return LayoutPrecision(information, rms)
 
@@ -291,12 +291,12 @@ class LayoutScorer:
             open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
             reduced[open_.any(axis=1)] = np.nan
-        inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
-        weights = inverse @ tk
+        inverses = np.asarray(np.linalg.inv(tt), dtype=np.float64)
+        coefficients = inverses @ tk
         size = reduced.shape[1]
-        flat, flat_weights = tk.reshape(len(reduced), -1, size), weights.reshape(len(reduced), -1, size)
+        flat, flat_weights = tk.reshape(len(reduced), -1, size), coefficients.reshape(len(reduced), -1, size)
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
-        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
     def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
         """Blocks of the normal matrices: other unknowns (B, K, K), E targets (B, E, 3, 3), coupling (B, E, 3, K)."""
@@ -347,9 +347,9 @@ class LayoutScorer:
         rows[..., 3:] *= self._fixes_datum_rotations
         return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
 
-    def weighted_target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+    def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
         """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""
-        variance = self.target_variance(schur, inverse, weights, mesh)
+        variance = self.target_variance(schur, inverses, coefficients, mesh)
         weight = self._target_weights[self.requested_targets(mesh)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
@@ -360,19 +360,19 @@ class LayoutScorer:
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
-    def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+    def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
         """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them.
 
-        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K), `inverse`
-        (B, E, 3, 3) and `weights` (B, E, 3, K) are results of `eliminate_targets`. `mesh`, (E,) or (B, E), holds the
-        indices of these targets in the survey. The targets of the gauge are always included.
+        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K),
+        `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `mesh`, (E,) or (B,
+        E), holds the indices of these targets in the survey. The targets of the gauge are always included.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
         covariance = np.linalg.inv(schur[:, :size, :size])
-        count, gauge = inverse.shape[1], len(self._gauge_targets)
+        count, gauge = inverses.shape[1], len(self._gauge_targets)
         carry = np.zeros((layouts, count + gauge, 3, size))
-        carry[:, :count] = -weights[..., :size]
+        carry[:, :count] = -coefficients[..., :size]
         first = size - estimated - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
@@ -387,11 +387,11 @@ class LayoutScorer:
         flattened = carry.reshape(layouts, axes, size)
         constrained = flattened - rows @ (held @ flattened)
         part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
-        response = np.einsum("beij,befj->beif", inverse, part)
+        response = np.einsum("beij,befj->beif", inverses, part)
         common = np.einsum("befi,beig->bfg", part, response)
         variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
         variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._n_free_motions).sum(axis=2)
-        variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
+        variance[:, :count] += np.einsum("beii->be", inverses) - 2.0 * np.einsum(
             "beif,beif->be", motion[:, :count], response
         )
         return INTERNAL_LENGTH_UNIT**2 * variance

@@ -91,7 +91,7 @@ class ReflectorEntry(Entry):
 
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
-        """Entries of the reflectors of a layout with expected precision, and with tolerances if it has a check."""
+        """Entries of the reflectors of a layout with expected precision; `check` adds the tolerances."""
         survey, information = layout.survey, layout.information
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
@@ -109,7 +109,7 @@ class ReflectorEntry(Entry):
 
     @staticmethod
     def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
-        """Fields of a point with a tolerance; empty for another point."""
+        """Fields of a reflector with a tolerance; empty for a reflector without one."""
         if check is None or name not in check.error_by_point:
             return {}
         within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)

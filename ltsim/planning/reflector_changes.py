@@ -80,19 +80,19 @@ def evaluate_reflector_changes(
 class _ChangeEvaluator:
     """Evaluation of changes of a layout, with the reflectors at their present places."""
 
-    def __init__(self, choice: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
+    def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
         self.movable_reflectors, self.normal_matrix_table, self.objective = (
-            choice,
-            choice.normal_matrix_table,
+            movable_reflectors,
+            movable_reflectors.normal_matrix_table,
             objective,
         )
-        self.present_places = np.arange(choice.n_present)
+        self.present_places = np.arange(movable_reflectors.n_present)
         self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_places)
         self.present_objective = self.normal_matrix_table.objective_values(
             self.present_normal_matrix[None], self.present_places[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
-        gap = np.linalg.norm(choice.places[:, None] - choice.places[None], axis=2)
+        gap = np.linalg.norm(movable_reflectors.places[:, None] - movable_reflectors.places[None], axis=2)
         self.is_too_near = gap < spacing
 
     @property
@@ -100,7 +100,7 @@ class _ChangeEvaluator:
         """True if only the point errors of targets have a weight in the goal."""
         return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
 
-    def _objective_factors(self, totals: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
+    def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
         """Factors (B,) on the objective for normal matrices (B, K, K) with reflectors at `occupied_places` (B, n).
 
         If only targets have a weight, the factors are on their point error without the changed reflector:
@@ -108,9 +108,10 @@ class _ChangeEvaluator:
         """
         if self._is_target_goal:
             rms = self.normal_matrix_table.weighted_target_rms
-            return rms(totals, other_places) / rms(self.present_normal_matrix[None], other_places)
+            return rms(normal_matrices, other_places) / rms(self.present_normal_matrix[None], other_places)
         return (
-            self.normal_matrix_table.objective_values(totals, occupied_places, self.objective) / self.present_objective
+            self.normal_matrix_table.objective_values(normal_matrices, occupied_places, self.objective)
+            / self.present_objective
         )
 
     def _parameter_sigmas(self, total: Floats) -> Floats:
@@ -138,17 +139,17 @@ class _ChangeEvaluator:
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
             occupied_places = np.column_stack([np.tile(others, (len(places), 1)), places])
-            totals = start_matrix + terms[places]
+            normal_matrices = start_matrix + terms[places]
             if kind == "remove":
-                occupied_places, totals = others[None], start_matrix[None]
+                occupied_places, normal_matrices = others[None], start_matrix[None]
             if not len(occupied_places):
                 return
-            values = self._objective_factors(totals, occupied_places, others)
+            values = self._objective_factors(normal_matrices, occupied_places, others)
             tried[kind] += len(values)
             helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
                 place = None if kind == "remove" else int(places[k])
-                candidates[kind].append((float(values[k]), removed, place, totals[k]))
+                candidates[kind].append((float(values[k]), removed, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free_places(np.delete(chosen, i)))

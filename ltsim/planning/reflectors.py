@@ -46,22 +46,22 @@ class NormalMatrixTable:
 
     @classmethod
     def from_places(
-        cls, survey: PlannedSurvey, is_fixed: Bools, places: Floats, is_visible: Bools, reducer: LayoutScorer
+        cls, survey: PlannedSurvey, is_fixed: Bools, places: Floats, is_visible: Bools, scorer: LayoutScorer
     ) -> NormalMatrixTable:
         """Terms for reflectors at `places` (P, 3) [m] with the stations of a survey.
 
-        `reducer` evaluates layouts whose targets are the fixed ones followed by the places; `is_visible` (S, targets)
+        `scorer` evaluates layouts whose targets are the fixed ones followed by the places; `is_visible` (S, targets)
         has the same order.
         """
         count, staying = len(survey.station_positions), int(is_fixed.sum())
         slots = np.arange(count)
         only = is_visible.copy()
         only[:, staying:] = False
-        alone = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
-        base, length = (block[0] for block in reducer.eliminate_targets(alone, slots[None])[:2])
+        alone = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
+        base, length = (block[0] for block in scorer.eliminate_targets(alone, slots[None])[:2])
         t, x = (
             part[:, staying:]
-            for part in reducer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
+            for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
         )
         rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
@@ -70,39 +70,41 @@ class NormalMatrixTable:
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        all_blocks = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
-        _, _, inverse, weights = reducer.eliminate_targets(all_blocks, slots[None])
+        all_blocks = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
+        _, _, inverse, weights = scorer.eliminate_targets(all_blocks, slots[None])
         length = length + np.sum(rows**2, axis=(0, 1))
-        return cls(reducer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
+        return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
         """Normal matrix (K, K) with reflectors at the places with the given indices."""
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
-    def information(self, totals: Floats) -> Floats:
+    def information(self, normal_matrices: Floats) -> Floats:
         """Information (B, p, p) on the instrument parameters from normal matrices (B, K, K); NaN if undetermined."""
-        return self.scorer.marginal_information(totals, np.broadcast_to(self.squared_column_norms, totals.shape[:2]))
+        return self.scorer.marginal_information(
+            normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
+        )
 
-    def weighted_target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of the fixed targets and of reflectors at places (n,) or (B, n).
-
-        `totals` (B, K, K) are the normal matrices.
-        """
-        rows = self._block_rows(len(totals), place_indices)
+    def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
+        """Root mean square point error (B,) [m] of the fixed targets and of reflectors at places (n,) or (B, n)."""
+        rows = self._block_rows(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
-            totals,
+            normal_matrices,
             self.target_block_inverses[rows],
             self.elimination_coefficients[rows],
             self.scorer.mesh_targets[rows],
         )
 
-    def target_sigma(self, total: Floats, place_indices: Ints) -> dict[str, float]:
+    def target_sigma(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
         """Point error [m] by name of the fixed targets and of reflectors at places, for one normal matrix (K, K)."""
-        at, reducer = self._block_rows(1, place_indices), self.scorer
-        variance = reducer.target_variance(
-            total[None], self.target_block_inverses[at], self.elimination_coefficients[at], reducer.mesh_targets[at]
+        at, scorer = self._block_rows(1, place_indices), self.scorer
+        variance = scorer.target_variance(
+            normal_matrix[None],
+            self.target_block_inverses[at],
+            self.elimination_coefficients[at],
+            scorer.mesh_targets[at],
         )[0]
-        names = [reducer.survey.target_names[t] for t in reducer.requested_targets(reducer.mesh_targets[at])[0]]
+        names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _block_rows(self, layouts: int, place_indices: Ints) -> Ints:
@@ -111,12 +113,12 @@ class NormalMatrixTable:
         place_indices = np.broadcast_to(place_indices, (layouts, np.shape(place_indices)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + place_indices], axis=1)
 
-    def objective_values(self, totals: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
+    def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
         """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""
-        information = self.information(totals)
-        rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
+        information = self.information(normal_matrices)
+        rms, determined = np.full(len(normal_matrices), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
-            rms[determined] = self.weighted_target_rms(totals[determined], place_indices[determined])
+            rms[determined] = self.weighted_target_rms(normal_matrices[determined], place_indices[determined])
         return objective.objective_values(LayoutPrecision(information, rms), self.scorer.construction.n_parameters)
 
 
@@ -254,8 +256,8 @@ def _exchange_places(
     The exchange algorithm is that of Fedorov. Two reflectors stay at least `spacing` [m] apart.
     """
     place_indices = place_indices.copy()
-    total = table.normal_matrix(place_indices)
-    value = float(table.objective_values(total[None], place_indices[None], objective)[0])
+    normal_matrix = table.normal_matrix(place_indices)
+    value = float(table.objective_values(normal_matrix[None], place_indices[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
     for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
@@ -264,13 +266,13 @@ def _exchange_places(
             free = np.setdiff1d(np.flatnonzero((gap[:, others] >= spacing).all(axis=1)), place_indices)
             if not len(free):
                 continue
-            without = total - table.place_normal_matrices[place_indices[i]]
+            without = normal_matrix - table.place_normal_matrices[place_indices[i]]
             tried = np.insert(np.tile(others, (len(free), 1)), i, free, axis=1)
             values = table.objective_values(without + table.place_normal_matrices[free], tried, objective)
             best = int(np.argmin(values))
             if values[best] < value:
                 place_indices[i], value = free[best], float(values[best])
-                total = without + table.place_normal_matrices[place_indices[i]]
+                normal_matrix = without + table.place_normal_matrices[place_indices[i]]
         if value > before * (1 - MIN_SWEEP_IMPROVEMENT):
             break
     return place_indices

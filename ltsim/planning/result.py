@@ -43,7 +43,7 @@ class Plan(ResultFile, LayoutEntry):
     reasons: tuple[str, ...] = ()
     """Reasons for the layout, a sentence each."""
     frame: str = ""
-    """Text of the coordinate system of all coordinates."""
+    """Description of the coordinate system of all coordinates."""
     reference: LayoutEntry | None = None
     """Layout of the scenario, for comparison."""
     fewest_stations: TradeoffEntry | None = None
