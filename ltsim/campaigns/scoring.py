@@ -40,7 +40,7 @@ from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_FRACTION = 1e-4
-"""Smallest share of noise in the declared variance of an estimate; below it, no z-score is given."""
+"""Fraction of a declared variance below which the error comes from the prior and not from noise."""
 MAX_LINE_LENGTH = 300
 """Largest number of characters of an external program's last line in a message."""
 RECORDING_PLACEHOLDER = "{recording}"

@@ -88,8 +88,7 @@ class NextMeasurement(ResultFile):
     between: tuple[str, ...] = ()
     """Effects that explain the recording equally well and that the measurement should distinguish."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square difference, in the present recording, between the first of these effects and each other one, by name.
-    """
+    """Chi-square difference between the first explanation and each other one in the present recording."""
     advice: str = ""
     """First action to take, as a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
@@ -97,7 +96,7 @@ class NextMeasurement(ResultFile):
 
     @classmethod
     def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
-        """Result with the ranked proposals for a recording."""
+        """Result with the proposals for a recording."""
         return cls(
             recording=source,
             between=ranked.compared_explanations,
