@@ -139,7 +139,7 @@ def _step_p_value(
 
 
 def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
-    """Variance of usual steps at which the expected chi-square of the steps equals their number; at least 0."""
+    """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0."""
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 
     def excess(variance: float) -> float:

@@ -258,7 +258,7 @@ class RecommendedCorrection(Entry):
     prior_scale: Positive
     """Most likely size of the parameters, relative to their prior standard deviations."""
     plausible_scale: tuple[Positive, Positive]
-    """Lower and upper limit of this size, each with a one-sided confidence of 95 %."""
+    """Lower and upper limit of `prior_scale`, each with a one-sided confidence of 95 %."""
     uncorrected_um: NotNegative
     """Expected rms error [um] of an uncorrected point in the frame of its set-up, from the instrument's constants
     alone."""

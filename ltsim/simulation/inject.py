@@ -31,8 +31,8 @@ NONCENTRALITY_TOLERANCE = 1e-4
 MAX_SCALING_STEPS = 60
 """Largest number of steps in the scaling of an effect to a noncentrality."""
 MAX_CHANGE_SIGMAS = 30.0
-"""Largest change of a reading by an injected effect, in standard deviations, divided by the square root of the fraction
-of the effect that remains in the residuals. A larger effect is refused."""
+"""Ratio of the largest change of a reading, in standard deviations, to the square root of the requested noncentrality,
+above which the unknowns of the network count as absorbing the effect."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -353,7 +353,7 @@ class PlannedTarget(TomlSection):
     position_mm: Vector
     """Planned position."""
     nest_normal: Vector | None = None
-    """Normal of its fixed nest; default the direction to the centre of the stations."""
+    """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
     """True for a reflector that is turned towards each station; default by `smr.nests`."""
     reflector: str | None = None
