@@ -81,7 +81,7 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
 
 
 def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
-    words = "vertical index ~ station-time, in its own way at each set-up"
+    words = "vertical index ~ station-time, separately at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
     assert (law.effect, law.place_text, law.n_distinguishable_parameters) == (words, "", len(drifting.stations))
     assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
