@@ -26,7 +26,15 @@ MAX_LOG_EVIDENCE_GAIN = 1e30
 """Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
 MIN_LOG_EVIDENCE_CERTAIN = 7.0
 """Gain of log evidence above which a cause counts as certain (odds of 1000 to 1)."""
-SHARED_CAUSE_KINDS = ("constant-offset", "scale-error", "orientation", "reflector-radius", "centring")
+SHARED_CAUSE_KINDS = (
+    "constant-offset",
+    "constant-step",
+    "constant-drift",
+    "scale-error",
+    "orientation",
+    "reflector-radius",
+    "centring",
+)
 """Kinds of causes that change all readings of one observable, or of one set-up."""
 MAX_REFERENCE_MISCLOSURE = 0.1
 """Misclosure of a reference value [m] above which the value is excluded from the start, because the adjustment may not

@@ -1,4 +1,4 @@
-"""Signatures of offsets and scale errors of one observable, at a station or target, from a time on."""
+"""Signatures of offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,10 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset or scale error of the readings of one observable, for some stations and targets, from a time on.
+    """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
-    An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face.
+    An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
+    drift grows at a constant rate from zero at the first pointing of a station; its parameter is the shift at the last.
 
     Attributes
     ----------
@@ -28,6 +29,8 @@ class ReadingShift(Signature):
         First time [s] of shifted readings.
     size_factor : float
         Factor on the usual plausible size of the parameter.
+    is_drift : bool
+        True if the shift grows with the time since the first pointing of the station.
     """
 
     observable: str
@@ -36,11 +39,12 @@ class ReadingShift(Signature):
     targets: tuple[str, ...] = ()
     onset_time: float = -np.inf
     size_factor: float = 1.0
+    is_drift: bool = False
 
     @property
     def name(self) -> str:
-        """Name of the kind of error: `scale-error` or `constant-offset`."""
-        return "scale-error" if self.is_proportional else "constant-offset"
+        """Name of the kind of error: `scale-error`, `constant-drift` or `constant-offset`."""
+        return "scale-error" if self.is_proportional else "constant-drift" if self.is_drift else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -59,6 +63,8 @@ class ReadingShift(Signature):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        if self.is_drift:
+            acts = acts * sightings.elapsed_visit_fraction
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
