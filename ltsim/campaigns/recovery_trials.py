@@ -2,7 +2,7 @@
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy import stats
@@ -43,6 +43,9 @@ from ltsim.simulation.physics import instrument_error_distribution
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial, placing_stream_key
 
+CONVERGENCE = "convergence"
+"""Subject of the check that every trial has a result."""
+
 
 class RecoveryTolerance(NamedTuple):
     """Largest permitted error in the parameter's unit, and its text."""
@@ -68,12 +71,13 @@ class RecoveredParameter(Entry):
     """Fraction of the trials whose 95 % interval contains the truth."""
     ltsim_rms_error: OptionalFloat = None
     """Root mean square error of ltsim in the same recordings, if another calibrator is checked."""
-    larger_than_ltsim: OptionalFloat = None
-    """Mean of the absolute errors minus those of ltsim in the same recordings."""
-    larger_low: OptionalFloat = None
-    """Lower 95 % confidence limit of that mean."""
-    larger_high: OptionalFloat = None
-    """Upper 95 % confidence limit of that mean."""
+    absolute_error_difference: OptionalFloat = None
+    """Mean of the absolute errors minus mean of the absolute errors of ltsim in the same recordings; positive if ltsim
+    is closer. It is not the difference of the rms errors."""
+    difference_low: OptionalFloat = None
+    """Lower 95 % confidence limit of this difference."""
+    difference_high: OptionalFloat = None
+    """Upper 95 % confidence limit of this difference."""
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
@@ -99,6 +103,12 @@ class FailedTrial(NamedTuple):
     """Reason of the failure, as a sentence."""
     is_external: bool
     """True for a failure of an external calibrator."""
+
+    @classmethod
+    def of_calibrator(cls, problem: CalibratorError, trial_text: str) -> Self:
+        """Failure of an external calibrator; `trial_text` names the trial, unless the message does."""
+        reason = str(problem)
+        return cls(reason if trial_text in reason else f"{trial_text}: {reason}", is_external=True)
 
 
 @dataclass(frozen=True)
@@ -154,9 +164,9 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
         return FailedTrial(reason, is_external=False) if reference is None else reference
     try:
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {index}")
+        return score_estimates(estimates, truth, settings.errors, reference)
     except CalibratorError as problem:
-        return FailedTrial(str(problem), is_external=True)
-    return score_estimates(estimates, truth, settings.errors, reference)
+        return FailedTrial.of_calibrator(problem, f"trial {index}")
 
 
 def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:
@@ -226,11 +236,12 @@ class RecoveryTrials(ValueEquality):
         columns: dict[str, Sequence[float]] = {}
         if len(self.trials_with_result) >= MIN_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
+            is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
                 "mean_z": z.mean(axis=0).tolist(),
                 "deviation_z": z.std(axis=0, ddof=1).tolist(),
-                "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE)), axis=0).tolist(),
+                "coverage_95": np.mean(np.where(np.isfinite(z), is_covered, np.nan), axis=0).tolist(),
                 **self._comparison_columns(error),
             }
         units = self.trials_with_result[0].parameter_units if self.trials_with_result else ()
@@ -258,15 +269,15 @@ class RecoveryTrials(ValueEquality):
         half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return {
             "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
-            "larger_than_ltsim": gap.mean(axis=0).tolist(),
-            "larger_low": (gap.mean(axis=0) - half_width).tolist(),
-            "larger_high": (gap.mean(axis=0) + half_width).tolist(),
+            "absolute_error_difference": gap.mean(axis=0).tolist(),
+            "difference_low": (gap.mean(axis=0) - half_width).tolist(),
+            "difference_high": (gap.mean(axis=0) + half_width).tolist(),
         }
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", n_lost, 0, 0)]
+        checks = [RecoveryCheck.from_value(CONVERGENCE, "trials without a result", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
         indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]

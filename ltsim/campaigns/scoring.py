@@ -81,14 +81,17 @@ def run_external_calibrator(
 ) -> dict[str, ParameterEstimate]:
     """Parameters that an external calibrator estimates from a recording, by name.
 
-    Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
-    `origin`, when it cannot be started or its result does not follow the format.
+    Raises CalibratorError, with `origin`, when it ends without a valid result (a status other than 0, None, no file, a
+    value that is not finite); SetupError when it cannot be started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
         if given is None:
             raise CalibratorError(f"the calibrator gave no result (None) for {origin}")
-        return _validated_estimates(given, f"the calibrator's result of {origin}")
+        try:
+            return _validated_estimates(given)
+        except RecordError as problem:
+            raise CalibratorError(f"the calibrator's result for {origin} is not valid: {problem}") from None
     words = split_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
@@ -103,33 +106,49 @@ def run_external_calibrator(
             )
         except OSError as problem:
             raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
+        what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {origin}"
+        lines = done.stderr.decode("utf-8", "replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
         if done.returncode:
-            lines = done.stderr.decode("utf-8", "replace").split("\n")
-            last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
-            what = f"'{quoted_text(calibrator)}' ended with status {done.returncode}"
-            raise CalibratorError(f"{what} for {origin}; {detail}")
+            raise CalibratorError(f"{what}; {detail}")
         try:
-            content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
-            listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
-        except (RecordError, OSError, KeyError, TypeError) as problem:
-            message = f"the result is no list of parameters with name, value and unit ({problem!r})"
-            raise RecordError(message, file=origin) from None
-        return _validated_estimates(listed, origin)
+            return _validated_estimates(_read_estimates(out / "calibration.json" if out.is_dir() else out))
+        except RecordError as problem:
+            raise CalibratorError(f"{what}, but its result is not valid: {problem}; {detail}") from None
 
 
-def _validated_estimates(answer: object, origin: str) -> dict[str, ParameterEstimate]:
+def _read_estimates(file: Path) -> dict[str, list[object]]:
+    """Value, sigma and unit by name from the file of a program; raises RecordError."""
+    if not file.exists():
+        raise RecordError(f"there is no file at {OUTPUT_PLACEHOLDER}")
+    try:
+        content = read_json(file, "list of parameters")
+        return {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
+    except RecordError as problem:
+        raise RecordError(str(problem).replace(str(file), f"the file at {OUTPUT_PLACEHOLDER}", 1)) from None
+    except KeyError as problem:
+        raise RecordError(f"{problem} is missing; expected parameters with name, value and unit") from None
+    except (OSError, TypeError, AttributeError):
+        raise RecordError("the file is no list of parameters with name, value and unit") from None
+
+
+def _validated_estimates(answer: object) -> dict[str, ParameterEstimate]:
+    """Estimates by name, checked; raises RecordError."""
     try:
         estimates = _ESTIMATES_ADAPTER.validate_python(answer)
     except ValidationError as problem:
         first = problem.errors()[0]
-        place = " ".join(str(part) for part in first["loc"])
-        raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=origin) from None
+        name, *index = first["loc"] or ("the result",)
+        fields = [ParameterEstimate._fields[at] for at in index if isinstance(at, int)]
+        given, reason = quoted_text(repr(first["input"])), first["msg"].lower().replace("input", "it")
+        where = " of ".join([*fields, str(name)])
+        raise RecordError(f"{where} is {given}, {reason}; expected value, sigma and unit by name") from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=origin)
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
     if not estimates:
-        raise RecordError("no parameter in the result; expected at least one", file=origin)
+        raise RecordError("it has no parameter, expected at least one")
     return estimates
 
 
@@ -372,16 +391,21 @@ def score_estimates(
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
 
-    Parameters are in the order and units of the truth. Raises SetupError for a parameter without a true value, or with
-    a unit of another kind.
+    Parameters are in the order and units of the truth. Raises CalibratorError for a parameter without a true value, or
+    with a unit of another kind.
     """
     true = true_parameters(truth)
-    check_true_parameters(tuple(estimates), true, truth)
+    unknown = next((name for name in estimates if name not in true), None)
+    if unknown is not None:
+        raise CalibratorError(
+            f"the calibrator gives '{quoted_text(unknown)}', but the parameters of the simulated instrument "
+            f"({truth.construction}) are {', '.join(true)}"
+        )
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
         if not has_same_kind(estimates[name].unit, unit):
-            raise SetupError(
+            raise CalibratorError(
                 f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit of that kind"
             )
     factor = np.array([SI_PER_UNIT[unit] for unit in units])

@@ -18,7 +18,7 @@ import typer
 
 from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.notation import listing
-from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, path_in_folder
+from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, is_unmodified, path_in_folder
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -139,9 +139,14 @@ def check_empty_folder(folder: Path, force: bool) -> None:
 
 
 def check_new_file(file: Path, force: bool) -> None:
-    """Check that a file does not exist, except for a page written by ltsim; raises RecordError."""
+    """Check that a file does not exist, except for a page or an unmodified XML file written by ltsim.
+
+    Raises RecordError.
+    """
     check_writable(file, folder=False)
     if force or not os.path.lexists(file) or is_device(file):
+        return
+    if file.is_file() and is_unmodified(file):
         return
     if file.is_file() and file.suffix == ".html":
         with file.open("rb") as stream:

@@ -76,9 +76,9 @@ class StoppedError(LtsimError):
 
 
 class CalibratorError(LtsimError):
-    """Error for an external calibrator that ended without a result.
+    """Error for a trial in which an external calibrator gives no valid result: it fails the check, the input is right.
 
-    The message has its command, status and last line.
+    For a program the message has its command, status and last line.
     """
 
 
