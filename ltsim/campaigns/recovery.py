@@ -26,6 +26,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, PrivateAttr
 
 from ltsim.calibration.verbs import parse_requested_effect
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
     CONVERGENCE,
@@ -39,7 +40,7 @@ from ltsim.campaigns.recovery_trials import (
     run_trials,
 )
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
-from ltsim.campaigns.scoring import ExternalCalibrator, TrialScore, split_command
+from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, SetupError, option, unknown_name
 from ltsim.core.notation import listing

@@ -2,7 +2,7 @@
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -11,6 +11,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, run_external_calibrator
 from ltsim.campaigns.recovery_checks import (
     FALSE_ALARM_RATE,
     MIN_TRIALS,
@@ -24,9 +25,7 @@ from ltsim.campaigns.recovery_checks import (
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
-    ExternalCalibrator,
     TrialScore,
-    run_external_calibrator,
     score_calibration,
     score_estimates,
 )
@@ -104,12 +103,6 @@ class FailedTrial(NamedTuple):
     is_external: bool
     """True for a failure of an external calibrator."""
 
-    @classmethod
-    def of_calibrator(cls, problem: CalibratorError, trial_text: str) -> Self:
-        """Failure of an external calibrator; `trial_text` names the trial, unless the message does."""
-        reason = str(problem)
-        return cls(reason if trial_text in reason else f"{trial_text}: {reason}", is_external=True)
-
 
 @dataclass(frozen=True)
 class RecoverySettings:
@@ -166,7 +159,9 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {index}")
         return score_estimates(estimates, truth, settings.errors, reference)
     except CalibratorError as problem:
-        return FailedTrial.of_calibrator(problem, f"trial {index}")
+        sentence = str(problem)
+        reason = sentence if f"for trial {index}" in sentence else f"trial {index}: {sentence}"
+        return FailedTrial(reason, is_external=True)
 
 
 def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:

@@ -139,8 +139,11 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
     An existing recording or file stays if it has the same content, and is replaced only with `force`. If one of them
     has another content, nothing is written: raises RecordError.
     """
-    values = {path: _compare_content(path, write) for path, write in outputs.items() if not force}
-    return [write(path) if values.get(path) is None else values[path].returned_value for path, write in outputs.items()]
+    same_contents = {} if force else {path: _compare_content(path, write) for path, write in outputs.items()}
+    return [
+        write(path) if (same := same_contents.get(path)) is None else same.returned_value
+        for path, write in outputs.items()
+    ]
 
 
 class _SameContent(NamedTuple):

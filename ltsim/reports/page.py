@@ -42,6 +42,7 @@ HEADLINES = {
     ("History", "good"): "The instrument has not changed.",
     ("History", "bad"): "The instrument has changed.",
     ("Acceptance", "good"): "All errors are within the limits.",
+    ("Acceptance", "caution"): "No error is shown to exceed its limit, and not all are shown to be within.",
     ("Acceptance", "bad"): "Some errors exceed the limits.",
     ("Prediction", "good"): "The tracker is likely to pass all tests.",
     ("Prediction", "bad"): "The tracker is likely to fail a test.",

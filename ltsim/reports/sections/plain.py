@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, pass_probability_text
+from ltsim.acceptance.files import AcceptanceFile, Judgement
 from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.significance import FAMILY_LEVEL
@@ -20,6 +20,7 @@ from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
+    Assessment,
     Block,
     BulletListBlock,
     KeyFigure,
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
 """Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
+ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
+"""Assessment of measured errors by their judgement."""
 MAX_ZERO_CONSTANT = 1e-6
 """Constant of an effect, in its unit, up to which it is zero and is not printed."""
 UNCERTAINTY_NOTE = (
@@ -129,16 +132,22 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
 def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
-    good = assessment_of(content.passes >= (MIN_PASS_PROBABILITY if predicted else 1.0))
-    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1."
+    assessment = (
+        assessment_of(content.passes >= MIN_PASS_PROBABILITY)
+        if content.passes is not None
+        else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
+    )
+    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
+    caption += "Red crosses exceed their limit" + ("." if predicted else ", orange errors are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_LISTED_TESTS]
+    ranked = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
+    last_column = "passes" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
         *entries_table(
-            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
-            is_marked=lambda t: not predicted and t.passes < 1,
+            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", last_column,
+            is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
@@ -161,15 +170,24 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
         KeyFigure("tests", str(len(content.tests))),
-        KeyFigure(
-            "probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good
-        ),
+        KeyFigure("judgement", content.judgement, assessment)
+        if content.judgement
+        else KeyFigure("probability to pass", f"{100 * (content.passes or 0.0):.1f} %", assessment),
         KeyFigure("plan", content.plan),
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
     kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
-    return Section(title, kind, as_sentence(content.sentence), good, facts, blocks, instrument=named)
+    return Section(
+        title,
+        kind,
+        as_sentence(content.sentence),
+        assessment,
+        facts,
+        blocks,
+        instrument=named,
+        next_actions=content.next_actions,
+    )
 
 
 def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
