@@ -213,8 +213,6 @@ def test_the_page_tells_which_method_is_better_by_paired_differences(sweep: Any)
     statistic = "new_point_error_calibrated_um"
     by_method = {m: [s.mean for s in sweep.distribution(statistic) if s.method == m] for m in sweep.manifest.methods}
     best, other = sorted(by_method, key=lambda method: sum(by_method[method]))
-    }
-    best, other = sorted(means, key=means.__getitem__)
     paired = sweep.paired_differences(statistic, method=(other, best)).entries
     names = cell_descriptions(sweep)
     for row, cell, entry in zip(table.rows, names, paired, strict=True):
