@@ -48,11 +48,11 @@ def displacement_figure(comparison: Comparison) -> Figure:
 
 
 JUDGEMENT_MARKS = (
-    ("accepted", "o", 2.6, style.BLUE),
-    ("undecided", "o", 3.2, style.ORANGE),
-    ("rejected", "x", 5.0, style.RED),
+    ("accepted", "o", 2.6, style.BLUE, style.BLUE),
+    ("undecided", "o", 3.6, style.INK_COLOUR, "none"),
+    ("rejected", "x", 5.0, style.RED, style.RED),
 )
-"""Marker, its size [points] and colour of a test by its judgement."""
+"""Marker, its size [points], colour of its edge and of its face by the judgement of a test."""
 GROUP_HALF_WIDTH = 0.32
 """Half-width of the spread of a group's tests around its row, in row spacings."""
 
@@ -75,9 +75,10 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
             [t.judgement or ("accepted" if abs(s) <= 1 else "rejected") for t, s in zip(mine, share, strict=True)]
         )
         ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
-        for judgement, marker, size, colour in JUDGEMENT_MARKS:
+        for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKS:
             chosen = judged == judgement
-            ax.plot(share[chosen], place[chosen], marker, ms=size, color=colour, mew=1.4 * (marker == "x"))
+            colours = {"mec": edge_colour, "mfc": face_colour, "mew": 1.4 if marker == "x" else 0.7}
+            ax.plot(share[chosen], place[chosen], marker, ms=size, ls="none", **colours)
     largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
     ax.set_xlim(-1.15 * largest, 1.15 * largest)
     ax.set_xlabel("error / limit")

@@ -138,7 +138,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
     )
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
-    caption += "Red crosses exceed their limit" + ("." if predicted else ", orange errors are undecided.")
+    caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
     ranked = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
     last_column = "passes" if predicted else "judgement"
