@@ -20,6 +20,7 @@ from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.remedy import (
     KINDS_BY_EFFORT,
     Remedy,
+    SiteSights,
     advice_sentence,
     calibrated_length_remedy,
     list_text,
@@ -243,9 +244,13 @@ def rank_next_measurements(
     explanations: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
+    site_sights: SiteSights | None = None,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
-    """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
+    """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`.
+
+    `site_sights` restricts the places of additional stations.
+    """
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
@@ -257,10 +262,16 @@ def rank_next_measurements(
         space = residual_space_of(adjustment, extra_effects)
         asked = [best_explanation(space, name) for name in explanations]
         return rank_deciding_measurements(
-            adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress
+            adjustment,
+            asked,
+            extra_effects,
+            seconds_per_move=60.0 * minutes_per_move,
+            site_sights=site_sights,
+            progress=progress,
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    candidates = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
+    candidates = *pointing_remedies(network), *return_remedies(network, move)
+    candidates = *candidates, *station_remedies(network, move, site_sights)
     remedies = [remedy for remedy in candidates if remedy.is_determined]
     proposals = []
     for done, remedy in enumerate(remedies, 1):
@@ -275,13 +286,15 @@ def rank_deciding_measurements(
     extra_effects: Sequence[Signature] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
+    site_sights: SiteSights | None = None,
     stops_at_first: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Ranking of remedies by the evidence that they give between two or more explanations of an adjusted recording.
 
     Each explanation is to be distinguished from the first; those already distinguished are ignored. `extra_effects` are
-    in the model. With `stops_at_first` the search ends at the first remedy that decides.
+    in the model. `site_sights` restricts the places of additional stations. With `stops_at_first` the search ends at
+    the first remedy that decides.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     space = residual_space_of(network.adjustment, extra_effects)
@@ -295,9 +308,8 @@ def rank_deciding_measurements(
     costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
     total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
-    every = chain(
-        nearby_remedies, repeat_remedies, _most_informative_stations(network, seconds_per_move), costly_remedies
-    )
+    stations = _most_informative_stations(network, seconds_per_move, site_sights)
+    every = chain(nearby_remedies, repeat_remedies, stations, costly_remedies)
     for remedy in (candidate for candidate in every if candidate.is_determined):
         longer = residual_space_of(remedy.network.adjustment, extra_effects)
         evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
@@ -315,9 +327,11 @@ def _effort_rank(remedy: Remedy) -> tuple[int, float]:
     return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
 
 
-def _most_informative_stations(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
+def _most_informative_stations(
+    network: PlannedNetwork, seconds_per_move: float, site_sights: SiteSights | None
+) -> Iterator[Remedy]:
     """Additional stations with most information on the instrument, the quickest first."""
-    remedies = (remedy for remedy in station_remedies(network, seconds_per_move) if remedy.is_determined)
+    remedies = (r for r in station_remedies(network, seconds_per_move, site_sights) if r.is_determined)
     proposals = [MeasurementProposal.from_remedy(remedy, network.adjustment) for remedy in remedies]
     best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
     yield from sorted((p.remedy for p in best), key=_effort_rank)

@@ -233,10 +233,16 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-UNKNOWN_SITE_SENTENCE = (
-    "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall."
-)
-"""Sentence on what the proposals of new stations do not know."""
+def _site_sentence(content: NextMeasurement) -> str:
+    """Sentence on what the proposals of new stations know of the hall; empty without such proposals."""
+    has_station = any(proposal.kind == "station" for proposal in content.proposals)
+    if content.site:
+        result = "New stations meet" if has_station else "No new station meets"
+        return f"{result} the floor, the bodies and the sights of {content.site}."
+    if not has_station:
+        return ""
+    sentence = "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall, "
+    return f"{sentence}or name its plan with {option('site')}."
 
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
@@ -249,8 +255,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
     proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
-    if any(proposal.position_mm is not None for proposal in content.proposals):
-        note += f" {UNKNOWN_SITE_SENTENCE}"
+    note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
