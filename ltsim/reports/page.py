@@ -148,7 +148,7 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: A
         values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
         lines += [(key, text)] if text else []
-    axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
+    axes = "; ".join(dict.fromkeys(s.axes for s in sections if s.axes))
     return [*lines, *([("axes", axes)] if axes else [])]
 
 

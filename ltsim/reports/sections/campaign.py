@@ -115,7 +115,7 @@ def campaign_section(folder: Path) -> Section:
         blocks=blocks,
         seed=str(manifest.seed),
         versions=versions,
-        axes="those of the scenario",
+        axes="the axes of the scenario",
         instrument=tracker_presets_text(manifest.scenarios),
         n_open_blocks=min(len(shown), MAX_OPEN_BLOCKS),
     )

@@ -107,7 +107,10 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
+    note = (
+        "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
+    )
+    note += "smallest motion that is detected with probability 80 %."
     shown = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
