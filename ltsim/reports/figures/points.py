@@ -77,9 +77,16 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
         ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
         for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKS:
             chosen = judged == judgement
-            edge = 1.4 if marker == "x" else 0.7
+            edge_width = 1.4 if marker == "x" else 0.7
             ax.plot(
-                share[chosen], place[chosen], marker, ms=size, mec=edge_colour, mfc=face_colour, mew=edge, ls="none"
+                share[chosen],
+                place[chosen],
+                marker,
+                ms=size,
+                mec=edge_colour,
+                mfc=face_colour,
+                mew=edge_width,
+                ls="none",
             )
     largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
     ax.set_xlim(-1.15 * largest, 1.15 * largest)
