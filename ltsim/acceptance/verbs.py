@@ -278,8 +278,9 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
     size = f"{worst.error_um:.1f} um" + (f" +- {worst.expanded_um:.1f} um" if worst.expanded_um else "")
     phrase = f"{worst.name}: {size} where {worst.limit_um:.1f} um are permitted"
     if judgement == "rejected":
-        sentence = f"{numbers['rejected']} of {total} errors exceed their limits; the worst is {phrase}"
-        sentence += f"; {numbers['undecided']} are undecided" if numbers["undecided"] else ""
+        exceed = "exceeds its limit" if numbers["rejected"] == 1 else "exceed their limits"
+        sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"
+        sentence += f"; undecided: {numbers['undecided']}" if numbers["undecided"] else ""
     elif judgement == "undecided":
         sentence = f"no error is shown to exceed its limit, but for {numbers['undecided']} of {total} the uncertainty "
         sentence += f"reaches across the limit; the closest is {phrase}"
@@ -287,8 +288,8 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
         sentence = f"all {total} measured errors are within their limits"
     n_without = sum(t.expanded_um is None for t in test_entries)
     if n_without:
-        sentence += f"; {n_without} of {total} have no uncertainty and are compared with their limits alone"
-    return sentence + (f"; {n_unmeasured_tests} tests of the plan are not measured" if n_unmeasured_tests else "")
+        sentence += f"; without an uncertainty and compared with their limits alone: {n_without} of {total}"
+    return sentence + (f"; tests of the plan that are not measured: {n_unmeasured_tests}" if n_unmeasured_tests else "")
 
 
 def _next_actions(

@@ -178,7 +178,8 @@ def recover(
         table = result.table("parameters")
         terminal.print_text(table.text())
         if "absolute error difference" in table.headings:
-            terminal.print_text(f"absolute error difference: {table.meanings['absolute error difference']}")
+            meaning = " ".join(table.meanings["absolute error difference"].split())
+            terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
     for sentence in result.failure_sentences():
         streams.write_line(sentence, sys.stderr)
     if not result.passed:

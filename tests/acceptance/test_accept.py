@@ -69,12 +69,12 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
     file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-62.5,\nball,30,20\n")
     assert run(["accept", str(file)]) == 1
     said = capsys.readouterr().out
-    assert "1 of 2 errors exceed their limits; the worst is bar: -62.5 um where 45.7 um are permitted" in said
-    assert "1 of 2 have no uncertainty and are compared with their limits alone" in said
+    assert "1 of 2 errors exceeds its limit; the worst is bar: -62.5 um where 45.7 um are permitted" in said
+    assert "without an uncertainty and compared with their limits alone: 1 of 2" in said
     file = write(tmp_path, text, plan=PLAN, found="test,error_um\nbar,-2.5\n")
     assert run(["accept", str(file)]) == 1
     said = capsys.readouterr().out
-    assert "1 tests of the plan are not measured" in said and "Measure the other tests of the plan: ball." in said
+    assert "tests of the plan that are not measured: 1" in said and "Measure the other tests of the plan: ball." in said
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ BROKEN_PROGRAMS = {
         "sigma of beam-tilt is 0, it should be greater than 0",
     ),
     "no file": ("pass", "there is no file at {out}"),
-    "no JSON": ('open(out, "w").write("beam-tilt=-14")', "the file at {out}: is not JSON"),
+    "no JSON": ('open(out, "w").write("beam-tilt=-14")', "the file at {out} is not JSON"),
     "no value": ('open(out, "w").write(\'{"parameters": [{"name": "beam-tilt"}]}\')', "'value' is missing"),
     "numbers": ('open(out, "w").write(\'{"parameters": [1, 2]}\')', "no list of parameters with name, value and unit"),
     "crash": ('raise RuntimeError("no licence")', "status 1 for trial 2; its last line was: RuntimeError: no licence"),
