@@ -26,7 +26,7 @@ size_mm = [9000, 7000, 4000]
 [[workshop.obstacles]]
 name = "machine"
 box_mm = [1600, 1200, 2200]
-position_mm = [4500, 3500, 1100]
+position_mm = [4500, 3500, 0]
 
 [floor]
 margin_mm = 800

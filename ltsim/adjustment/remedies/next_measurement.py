@@ -272,7 +272,8 @@ def rank_next_measurements(
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
     stations = station_remedies(network, move, site_sights)
-    candidates = *pointing_remedies(network), *return_remedies(network, move), *stations
+    pointings = pointing_remedies(network, site_sights=site_sights)
+    candidates = *pointings, *return_remedies(network, move), *stations
     proposals = []
     for done, proposal in enumerate(_proposals_of(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
@@ -304,7 +305,7 @@ def rank_deciding_measurements(
     if len(decided_names) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
     suspects = [target for e in explanations for target in e.effect.targets]
-    nearby_remedies = sorted(pointing_remedies(network, suspects), key=_effort_rank)
+    nearby_remedies = sorted(pointing_remedies(network, suspects, site_sights), key=_effort_rank)
     repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
     costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
     total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)

@@ -189,7 +189,9 @@ class FloorPlan:
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 
-def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = ()) -> Iterator[Remedy]:
+def pointing_remedies(
+    network: PlannedNetwork, suspect_targets: Iterable[str] = (), site_sights: SiteSights | None = None
+) -> Iterator[Remedy]:
     """Remedies at the last station before it is dismantled.
 
     `suspect_targets` are targets that should be measured again.
@@ -224,6 +226,10 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
     unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
+    if site_sights is not None:
+        places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
+        plan = FloorPlan.from_recording(recording, network.state)
+        unseen = unseen[site_sights(*map(plan.positions_on_plan, places))[0]]
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
