@@ -1,6 +1,6 @@
 """Result of acceptance tests: accept.json and accept.csv."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -8,6 +8,17 @@ from pydantic import Field
 from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, ResultFile
 from ltsim.recordings.specification import Specification
+
+Judgement = Literal["accepted", "rejected", "undecided"]
+"""Judgement of a measured error by ISO 14253-1: accepted or rejected by more than its expanded uncertainty.
+
+An error without an uncertainty is compared with the limit alone.
+"""
+
+
+def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
+    """Judgement of several errors: rejected if one is, accepted if all are."""
+    return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
 
 class TestEntry(Entry):
@@ -25,8 +36,15 @@ class TestEntry(Entry):
     """Expected or measured error [um]; for a two-face test the distance perpendicular to the beam."""
     expanded_um: OptionalFloat = None
     """Expanded uncertainty (95 %) of the error [um]; null if it was not reported."""
-    passes: Finite
-    """Probability that the error is within the limit; 1 or 0 for a measured error."""
+    passes: OptionalFloat = None
+    """Predicted probability that the error is within the limit; null for a measured error."""
+    judgement: Judgement | None = None
+    """Judgement of a measured error; null for a predicted one."""
+
+    @property
+    def guarded_share(self) -> float:
+        """Smallest ratio of error to limit within the expanded uncertainty; more than 1 if the error is rejected."""
+        return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
 
 
 class GroupEntry(Entry):
@@ -36,8 +54,10 @@ class GroupEntry(Entry):
     """Name of the group."""
     tests: int
     """Number of tests in the group."""
-    passes: Finite
-    """Probability that all tests are within their limits; 1 or 0 for measured errors."""
+    passes: OptionalFloat = None
+    """Predicted probability that all tests are within their limits; null for measured errors."""
+    judgement: Judgement | None = None
+    """Judgement of all measured errors; null for predicted ones."""
     largest_share: Finite
     """Largest ratio of error to limit; for a prediction the error includes its uncertainty."""
 
@@ -52,6 +72,7 @@ TESTS_TABLE = Table(
         error_um={"form": ".6g", "shown": ".1f"},
         expanded_um={"name": "U_um", "form": ".6g", "shown": ".1f"},
         passes={"form": ".4g"},
+        judgement={"kind": "text"},
     ),
 )
 
@@ -60,7 +81,11 @@ GROUPS_TABLE = Table(
     "groups.csv",
     "tests by group",
     columns_of(
-        GroupEntry, name={"name": "group"}, passes={"title": "all pass", "digits": 3}, largest_share={"shown": ".2f"}
+        GroupEntry,
+        name={"name": "group"},
+        passes={"title": "all pass", "digits": 3},
+        judgement={"kind": "text"},
+        largest_share={"shown": ".2f"},
     ),
 )
 
@@ -107,10 +132,18 @@ class AcceptanceFile(ResultFile):
     """Limits of the manufacturer."""
     assumption: str = ""
     """Assumption by which limits were converted to standard deviations."""
-    passes: Finite
-    """Probability that all tests pass; 1 or 0 for measured errors."""
+    passes: OptionalFloat = None
+    """Predicted probability that all tests pass; null for measured errors."""
+    judgement: Judgement | None = None
+    """Judgement of all measured errors by ISO 14253-1: rejected if one is, accepted if all are and no test of the plan
+    is missing; null for a prediction.
+    """
+    unmeasured: tuple[str, ...] = ()
+    """Tests of the plan without a measured error."""
     sentence: str
     """Sentence with the result."""
+    next_actions: tuple[str, ...] = ()
+    """Next actions, the most urgent first."""
     groups: tuple[GroupEntry, ...] = Field(min_length=1)
     """Tests by group."""
     tests: tuple[TestEntry, ...] = Field(min_length=1)
@@ -131,21 +164,25 @@ class AcceptanceFile(ResultFile):
 
 
 def group_entries(
-    test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float], *, is_predicted: bool
+    test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float] | None = None
 ) -> tuple[GroupEntry, ...]:
     """Summaries of the tests by group; in a prediction the uncertainty of an error is included in it."""
+    predicted = pass_probability_by_group or {}
 
     def share(test_entry: TestEntry) -> float:
-        margin = (test_entry.expanded_um or 0.0) if is_predicted else 0.0
+        margin = (test_entry.expanded_um or 0.0) if predicted else 0.0
         return (abs(test_entry.error_um) + margin) / test_entry.limit_um
 
-    shares = {name: [share(t) for t in test_entries if t.group == name] for name in pass_probability_by_group}
+    by_group = {
+        name: [t for t in test_entries if t.group == name] for name in dict.fromkeys(t.group for t in test_entries)
+    }
     return tuple(
-        GroupEntry(name=name, tests=len(shares[name]), passes=p, largest_share=max(shares[name]))
-        for name, p in pass_probability_by_group.items()
+        GroupEntry(
+            name=name,
+            tests=len(entries),
+            passes=predicted.get(name),
+            judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
+            largest_share=max(map(share, entries)),
+        )
+        for name, entries in by_group.items()
     )
-
-
-def pass_probability_text(acceptance_file: AcceptanceFile, probability: float) -> str:
-    """Text of the probability to pass or, for measured errors, of their comparison with the limits."""
-    return f"{100 * probability:.1f} %" if acceptance_file.kind == "predicted" else "yes" if probability == 1 else "no"

@@ -273,7 +273,7 @@ def predicted_result(
         assumption=plan.specification.assumption_sentence,
         passes=prediction.p_all_pass,
         sentence=sentence,
-        groups=group_entries(tests, prediction.p_group_passes, is_predicted=True),
+        groups=group_entries(tests, prediction.p_group_passes),
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(

@@ -1,5 +1,6 @@
 """Public function of acceptance tests, and evaluation of measured errors against the manufacturer's limits."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
+from ltsim.acceptance.files import AcceptanceFile, Judgement, TestEntry, group_entries, joint_judgement
 from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
 from ltsim.acceptance.spec import (
     AcceptanceSettings,
@@ -21,6 +22,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
+from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, parts_across_beam
 from ltsim.physics.model.construction import construction_of_design, declared_construction
@@ -73,7 +75,11 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
     if acceptance_settings.measured is not None:
         plan = AcceptancePlan(tests, model, limits, limits_si.noise)
         errors = read_measured(folder / acceptance_settings.measured, tests, plan.permissible_errors)
-        return evaluated_result(errors, acceptance_settings, n_unmeasured_tests=len(tests) - len(errors))
+        return evaluated_result(
+            errors,
+            acceptance_settings,
+            unmeasured_tests=[t.name for t in tests if t.name not in {e.name for e in errors}],
+        )
     calibration = (
         None if acceptance_settings.calibration is None else _load_calibration(folder / acceptance_settings.calibration)
     )
@@ -100,20 +106,22 @@ def _load_calibration(path: Path) -> Calibration:
     return calibration
 
 
-MIN_UNCERTAINTY_RATIO = 4.0
-"""Smallest ratio of limit to expanded uncertainty for simple acceptance of an error (ASME B89.7.3.1)."""
-
-
 def make_test_entry(
     test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
 ) -> TestEntry:
-    """Entry of an error with its limit [m]; `expanded_uncertainty` is its uncertainty (95 %), NaN if not given."""
+    """Entry of an error with its limit [m], judged by ISO 14253-1.
+
+    `expanded_uncertainty` is its uncertainty (95 %) [m], NaN if not given.
+    """
     sizes = {
         "error_um": error / MICROMETRE,
         "limit_um": limit / MICROMETRE,
         "expanded_um": expanded_uncertainty / MICROMETRE,
     }
-    return TestEntry(name=test_name, group=test_group, passes=float(abs(error) <= limit), **sizes)
+    margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
+    is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit
+    judgement: Judgement = "accepted" if is_accepted else "rejected" if is_rejected else "undecided"
+    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes)
 
 
 @as_setup_error()
@@ -231,34 +239,23 @@ def evaluated_result(
     test_entries: Sequence[TestEntry],
     acceptance_settings: AcceptanceSettings,
     *,
-    n_unmeasured_tests: int = 0,
+    unmeasured_tests: Sequence[str] = (),
     recording: Recording | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors; `n_unmeasured_tests` is the number of tests without one."""
-    groups = {t.group: float(all(o.passes for o in test_entries if o.group == t.group)) for t in test_entries}
-    failed_items = sorted(
-        (t for t in test_entries if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6)
-    )
-    blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in test_entries)
-    sentence = f"all {len(test_entries)} errors are within their limits"
-    if failed_items:
-        w = failed_items[0]
-        sentence = (
-            f"{len(failed_items)} of {len(test_entries)} errors are over their limits; the worst is {w.name}: "
-            f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
-        )
-    if n_unmeasured_tests:
-        sentence += f"; {n_unmeasured_tests} tests of the plan were not measured"
-    if blunt:
-        sentence += f"; for {blunt} the uncertainty exceeds a quarter of the limit, too much for a decision"
+    """Result for measured errors; `unmeasured_tests` are the tests of the plan without one."""
+    judgement = joint_judgement([t.judgement for t in test_entries if t.judgement])
+    if judgement == "accepted" and unmeasured_tests:
+        judgement = "undecided"
     content = AcceptanceFile(
         title=acceptance_settings.title,
         kind="measured" if recording is None else "network",
         plan=acceptance_settings.plan_name if recording is None else "own network",
         specification=acceptance_settings.limits,
-        passes=float(not failed_items and not n_unmeasured_tests),
-        sentence=sentence,
-        groups=group_entries(test_entries, groups, is_predicted=False),
+        judgement=judgement,
+        unmeasured=tuple(unmeasured_tests),
+        sentence=_judgement_sentence(test_entries, len(unmeasured_tests)),
+        next_actions=_next_actions(test_entries, unmeasured_tests, is_network=recording is not None),
+        groups=group_entries(test_entries),
         tests=tuple(test_entries),
     )
     return (
@@ -266,3 +263,58 @@ def evaluated_result(
         if recording is None
         else content.model_copy(update={"recording": SourceEntry.from_recording(recording)})
     )
+
+
+def _worst_entry(test_entries: Sequence[TestEntry], judgement: Judgement) -> TestEntry:
+    return max((t for t in test_entries if t.judgement == judgement), key=lambda t: t.guarded_share)
+
+
+def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: int) -> str:
+    """Sentence with the numbers of errors by judgement and the worst error."""
+    numbers, total = Counter(t.judgement for t in test_entries), len(test_entries)
+    order: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
+    judgement = next(j for j in order if numbers[j])
+    worst = _worst_entry(test_entries, judgement)
+    size = f"{worst.error_um:.1f} um" + (f" +- {worst.expanded_um:.1f} um" if worst.expanded_um else "")
+    phrase = f"{worst.name}: {size} where {worst.limit_um:.1f} um are permitted"
+    if judgement == "rejected":
+        exceed = "exceeds its limit" if numbers["rejected"] == 1 else "exceed their limits"
+        sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"
+        sentence += f"; undecided: {numbers['undecided']}" if numbers["undecided"] else ""
+    elif judgement == "undecided":
+        sentence = f"no error is shown to exceed its limit, but for {numbers['undecided']} of {total} the uncertainty "
+        sentence += f"reaches across the limit; the closest is {phrase}"
+    else:
+        sentence = f"all {total} measured errors are within their limits"
+    n_without = sum(t.expanded_um is None for t in test_entries)
+    if n_without:
+        sentence += f"; without an uncertainty and compared with their limits alone: {n_without} of {total}"
+    return sentence + (f"; tests of the plan that are not measured: {n_unmeasured_tests}" if n_unmeasured_tests else "")
+
+
+def _next_actions(
+    test_entries: Sequence[TestEntry], unmeasured_tests: Sequence[str], *, is_network: bool
+) -> tuple[str, ...]:
+    """Next actions, the most urgent first."""
+    judgements, actions = {t.judgement for t in test_entries}, list[str]()
+    if "rejected" in judgements and is_network:
+        actions.append(
+            "Estimate the instrument's constants with ltsim calibrate: the lengths and face differences contain them. "
+            "If they are larger than the specification permits, have the maker adjust the tracker."
+        )
+    elif "rejected" in judgements:
+        name = _worst_entry(test_entries, "rejected").name
+        actions.append(
+            f"Repeat {name}. If it exceeds its limit again, have the maker adjust the tracker, and repeat all tests."
+        )
+    if "undecided" in judgements:
+        undecided = [(abs(t.limit_um - abs(t.error_um)), t.expanded_um or 0.0, t.name) for t in test_entries
+                     if t.judgement == "undecided"]  # fmt: skip
+        margin, expanded, name = max(undecided, key=lambda entry: entry[0] / entry[1])
+        how = "Measure more rounds or from more stations" if is_network else "Use a better reference or more readings"
+        actions.append(
+            f"{how}: an expanded uncertainty below {margin:.1f} um decides {name} (it has {expanded:.1f} um)."
+        )
+    if unmeasured_tests:
+        actions.append(f"Measure the other tests of the plan: {listing(list(unmeasured_tests), 3)}.")
+    return tuple(actions)

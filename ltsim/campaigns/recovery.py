@@ -26,8 +26,10 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, PrivateAttr
 
 from ltsim.calibration.verbs import parse_requested_effect
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
+    CONVERGENCE,
     RECOVERED_PARAMETERS_TABLE,
     TRIALS_TABLE,
     FailedTrial,
@@ -38,9 +40,9 @@ from ltsim.campaigns.recovery_trials import (
     run_trials,
 )
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
-from ltsim.campaigns.scoring import ExternalCalibrator, TrialScore, split_command
+from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_bounds
-from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
+from ltsim.core.errors import ModelError, SetupError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import parse_in_unit
@@ -146,6 +148,10 @@ class Recovery(ResultFile):
             return "no parameter is checked"
         return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"
 
+    def failure_reason(self, check: RecoveryCheck) -> str:
+        """Reason of a failed check: for trials without a result that of the last one, else its value and limits."""
+        return self.problem if check.subject == CONVERGENCE and self.problem else check.sentence()
+
     def failure_sentences(self) -> list[str]:
         """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
         sentences = [check.sentence() for check in self.failed_checks()]
@@ -157,11 +163,10 @@ class Recovery(ResultFile):
                 f"{len(unchecked)} of {len(self.parameters)} parameters "
                 f"({listing(unchecked, MAX_LISTED_PARAMETERS)}) are"
             )
-            sentences.append(
-                f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
-                f"not declare the standard deviation in every trial; let it declare one, or give a tolerance such as "
-                f"{example}, or {option('allow_unchecked=True')}"
-            )
+            sentence = f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
+            sentence += "not declare the standard deviation in every trial"
+            advice = f"; let it declare one, or give a tolerance such as {example}, or {option('allow_unchecked=True')}"
+            sentences.append(sentence if self.allow_unchecked else sentence + advice)
         return sentences
 
 
@@ -195,7 +200,7 @@ def recover(
         External calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
         recording and writes parameters as JSON. In Python it can also be a function of a recording that returns value,
         sigma (or None) and unit of each parameter by name. Parameters of effects have names such as ``head-sag:sag``.
-        The run ends after three trials without a result.
+        A trial without a valid result (an error, no file, a value that is not finite) fails; the run ends after three.
     tolerance : mapping of str to str, optional
         Limit that 95 % of the errors of a parameter must not exceed, such as `2 urad` for `beam-tilt`; only parameters
         with a tolerance are then checked.
@@ -215,7 +220,7 @@ def recover(
     Returns
     -------
     Recovery
-        Result with `passed`, `checks` and `problems()`; `failures()` lists the failed checks. A correct model fails any
+        Result with `passed`, `checks` and `failure_sentences()`; `failed_checks()` lists the failed checks. A correct model fails any
         check in one run of a hundred.
 
     Examples
@@ -243,13 +248,14 @@ def recover(
     began, done, within, problem = time.monotonic(), list[TrialScore | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
     with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
-        for outcome in outcomes:
+        for given_outcome in outcomes:
+            outcome = _with_same_parameters(given_outcome, done)
             if isinstance(outcome, FailedTrial):
                 failed, problem = failed + outcome.is_external, outcome.reason
+                done.append(None)
             else:
                 within = within or _parse_tolerances(given, outcome)
-                _require_same_parameters(outcome, done)
-            done.append(None if isinstance(outcome, FailedTrial) else outcome)
+                done.append(outcome)
             progress(1)
             if failed == MAX_EARLY_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
@@ -258,12 +264,16 @@ def recover(
     return Recovery.from_trials(result, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _require_same_parameters(trial: TrialScore, earlier_trials: Sequence[TrialScore | None]) -> None:
-    """Check that a trial has the parameters of the first trial with a result; raises RecordError."""
-    first = next((other for other in earlier_trials if other is not None), trial)
-    if trial.parameter_names != first.parameter_names:
-        differing = sorted({*trial.parameter_names} ^ {*first.parameter_names})[0]
-        raise RecordError(f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only")
+def _with_same_parameters(
+    outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
+) -> TrialScore | FailedTrial:
+    """The outcome; a failure if its parameters are not those of the first trial with a result."""
+    first = next((other for other in earlier_trials if other is not None), None)
+    if first is None or isinstance(outcome, FailedTrial) or outcome.parameter_names == first.parameter_names:
+        return outcome
+    differing = sorted({*outcome.parameter_names} ^ {*first.parameter_names})[0]
+    reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only"
+    return FailedTrial(reason, is_external=True)
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:

@@ -11,6 +11,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
+from ltsim.campaigns.external_calibrator import ExternalCalibrator, run_external_calibrator
 from ltsim.campaigns.recovery_checks import (
     FALSE_ALARM_RATE,
     MIN_TRIALS,
@@ -24,9 +25,7 @@ from ltsim.campaigns.recovery_checks import (
 )
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.campaigns.scoring import (
-    ExternalCalibrator,
     TrialScore,
-    run_external_calibrator,
     score_calibration,
     score_estimates,
 )
@@ -42,6 +41,9 @@ from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.physics import instrument_error_distribution
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial, placing_stream_key
+
+CONVERGENCE = "convergence"
+"""Subject of the check that every trial has a result."""
 
 
 class RecoveryTolerance(NamedTuple):
@@ -70,12 +72,13 @@ class RecoveredParameter(Entry):
     """Fraction of the trials whose 95 % interval contains the truth."""
     ltsim_rms_error: OptionalFloat = None
     """Root mean square error of ltsim in the same recordings, if another calibrator is checked."""
-    larger_than_ltsim: OptionalFloat = None
-    """Mean of the absolute errors minus those of ltsim in the same recordings."""
-    larger_low: OptionalFloat = None
-    """Lower 95 % confidence limit of that mean."""
-    larger_high: OptionalFloat = None
-    """Upper 95 % confidence limit of that mean."""
+    absolute_error_difference: OptionalFloat = None
+    """Mean of the absolute errors minus mean of the absolute errors of ltsim in the same recordings; positive if ltsim
+    is closer. It is not the difference of the rms errors."""
+    difference_low: OptionalFloat = None
+    """Lower 95 % confidence limit of this difference."""
+    difference_high: OptionalFloat = None
+    """Upper 95 % confidence limit of this difference."""
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
@@ -156,9 +159,11 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
         return FailedTrial(reason, is_external=False) if reference is None else reference
     try:
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {index}")
+        return score_estimates(estimates, truth, settings.errors, reference)
     except CalibratorError as problem:
-        return FailedTrial(str(problem), is_external=True)
-    return score_estimates(estimates, truth, settings.errors, reference)
+        sentence = str(problem)
+        reason = sentence if f"for trial {index}" in sentence else f"trial {index}: {sentence}"
+        return FailedTrial(reason, is_external=True)
 
 
 def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:
@@ -230,11 +235,12 @@ class RecoveryTrials(ValueEquality):
         columns: dict[str, Sequence[float]] = {}
         if len(self.trials_with_result) >= MIN_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
+            is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
                 "mean_z": z.mean(axis=0).tolist(),
                 "deviation_z": z.std(axis=0, ddof=1).tolist(),
-                "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE)), axis=0).tolist(),
+                "coverage_95": np.mean(np.where(np.isfinite(z), is_covered, np.nan), axis=0).tolist(),
                 **self._comparison_columns(error),
             }
         units = self.trials_with_result[0].parameter_units if self.trials_with_result else ()
@@ -262,15 +268,15 @@ class RecoveryTrials(ValueEquality):
         half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return {
             "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
-            "larger_than_ltsim": gap.mean(axis=0).tolist(),
-            "larger_low": (gap.mean(axis=0) - half_width).tolist(),
-            "larger_high": (gap.mean(axis=0) + half_width).tolist(),
+            "absolute_error_difference": gap.mean(axis=0).tolist(),
+            "difference_low": (gap.mean(axis=0) - half_width).tolist(),
+            "difference_high": (gap.mean(axis=0) + half_width).tolist(),
         }
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value("convergence", "trials that did not converge", n_lost, 0, 0)]
+        checks = [RecoveryCheck.from_value(CONVERGENCE, "trials without a result", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
         indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]

@@ -230,6 +230,21 @@ ERRORS_TABLE = Table(
         *numbers(share_removed="of the removable error"),
     ),
 )
+METHOD_DIFFERENCES_TABLE = Table(
+    "methods.csv",
+    "paired differences of an error between methods, with 95 % intervals",
+    (
+        *texts(setting="cell", methods="first less second method"),
+        *numbers(
+            display_format=".3g",
+            difference_um="mean difference on the same draws; positive if the second method is better",
+            low_um="lower 95 % confidence limit",
+            high_um="upper 95 % confidence limit",
+        ),
+        *texts(better="method with the smaller error, if the interval excludes 0"),
+        *numbers(trials="trials that both methods calibrated"),
+    ),
+)
 
 
 class ManifestFile(ResultFile):

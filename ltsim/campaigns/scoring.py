@@ -1,136 +1,27 @@
-"""Scores of calibrators relative to a known truth: errors divided by declared sigmas, and their expected distribution.
-
-A foreign calibrator is a program, or a function, that takes a recording and gives parameters. The program is called
-with the folder of a recording and the name of a file to write: a `calibration.json`, or
-
-    {"format": "ltsim-estimates/1",
-     "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},
-                    {"name": "head-sag:sag", "value": 3.1, "unit": "urad"}]}
-
-A parameter without a sigma can be judged by a tolerance only.
-"""
+"""Scores of calibrators relative to a known truth: errors divided by declared sigmas, and their distribution."""
 
 from __future__ import annotations
 
-import os
-import shlex
-import subprocess
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.campaigns.external_calibrator import ParameterEstimate
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import CalibratorError, RecordError, SetupError
-from ltsim.core.parallel import SAFE_PATH
+from ltsim.core.errors import CalibratorError, SetupError
 from ltsim.core.units import SI_PER_UNIT, has_same_kind
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import quoted_text
-from ltsim.recordings.result_file import read_json
-from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_FRACTION = 1e-4
 """Fraction of a declared variance below which the error comes from the prior and not from noise."""
-MAX_LINE_LENGTH = 300
-"""Largest number of characters of an external program's last line in a message."""
-RECORDING_PLACEHOLDER = "{recording}"
-"""Word of a calibrator command that is replaced by the path of the recording."""
-OUTPUT_PLACEHOLDER = "{out}"
-"""Word of a calibrator command that is replaced by the path of the output file."""
-
-
-class ParameterEstimate(NamedTuple):
-    """Parameter estimated by a calibrator, in a unit that `ltsim effects` lists."""
-
-    value: Finite
-    sigma: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
-    unit: str
-
-
-ExternalCalibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
-"""External calibrator: a command with the words {recording} and {out}, or a function that returns value, sigma and unit
-by name.
-"""
-_ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
-
-
-def split_command(command: str) -> list[str]:
-    """Words of a command; raises SetupError for a command without {recording} or {out}."""
-    for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
-        if place not in command:
-            expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise SetupError(f"--calibrator '{quoted_text(command)}' lacks {place}: expected {expected}")
-    try:
-        return shlex.split(command)
-    except ValueError as problem:
-        raise SetupError(f"--calibrator '{quoted_text(command)}': {problem}") from None
-
-
-def run_external_calibrator(
-    calibrator: ExternalCalibrator, recording: Recording, origin: str
-) -> dict[str, ParameterEstimate]:
-    """Parameters that an external calibrator estimates from a recording, by name.
-
-    Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
-    `origin`, when it cannot be started or its result does not follow the format.
-    """
-    if not isinstance(calibrator, str):
-        given = calibrator(recording)
-        if given is None:
-            raise CalibratorError(f"the calibrator gave no result (None) for {origin}")
-        return _validated_estimates(given, f"the calibrator's result of {origin}")
-    words = split_command(calibrator)
-    with TemporaryDirectory() as place:
-        folder, out = Path(place) / "recording", Path(place) / "estimates.json"
-        write_recording(recording, folder)
-        filled = [
-            word.replace(RECORDING_PLACEHOLDER, str(folder)).replace(OUTPUT_PLACEHOLDER, str(out)) for word in words
-        ]
-        try:
-            environment = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # of our processes
-            done = subprocess.run(
-                filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
-            )
-        except OSError as problem:
-            raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
-        if done.returncode:
-            lines = done.stderr.decode("utf-8", "replace").split("\n")
-            last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
-            what = f"'{quoted_text(calibrator)}' ended with status {done.returncode}"
-            raise CalibratorError(f"{what} for {origin}; {detail}")
-        try:
-            content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
-            listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
-        except (RecordError, OSError, KeyError, TypeError) as problem:
-            message = f"the result is no list of parameters with name, value and unit ({problem!r})"
-            raise RecordError(message, file=origin) from None
-        return _validated_estimates(listed, origin)
-
-
-def _validated_estimates(answer: object, origin: str) -> dict[str, ParameterEstimate]:
-    try:
-        estimates = _ESTIMATES_ADAPTER.validate_python(answer)
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        place = " ".join(str(part) for part in first["loc"])
-        raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=origin) from None
-    lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
-    if lost is not None:
-        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=origin)
-    if not estimates:
-        raise RecordError("no parameter in the result; expected at least one", file=origin)
-    return estimates
 
 
 @dataclass(frozen=True)
@@ -371,16 +262,21 @@ def score_estimates(
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
 
-    Parameters are in the order and units of the truth. Raises SetupError for a parameter without a true value, or with
-    a unit of another kind.
+    Parameters are in the order and units of the truth. Raises CalibratorError for a parameter without a true value, or
+    with a unit of another kind.
     """
     true = true_parameters(truth)
-    check_true_parameters(tuple(estimates), true, truth)
+    unknown = next((name for name in estimates if name not in true), None)
+    if unknown is not None:
+        raise CalibratorError(
+            f"the calibrator gives '{quoted_text(unknown)}', but the parameters of the simulated instrument "
+            f"({truth.construction}) are {', '.join(true)}"
+        )
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
         if not has_same_kind(estimates[name].unit, unit):
-            raise SetupError(
+            raise CalibratorError(
                 f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit of that kind"
             )
     factor = np.array([SI_PER_UNIT[unit] for unit in units])

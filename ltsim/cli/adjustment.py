@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from ltsim.cli.options import (
     ReadingOptions,
     RecordingArgument,
 )
-from ltsim.cli.places import RECORDING_OUTPUT, ForceOption
+from ltsim.cli.places import RECORDING_OUTPUT, ForceOption, write_outputs
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.units import ARCSECOND, MICROMETRE
 
@@ -104,7 +105,7 @@ def correct(
         terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)
-    lt.write(corrected_recording, out)
+    write_outputs({out: partial(lt.write, corrected_recording)}, force=force)
     change = corrected_recording.readings - recording.readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     max_changes = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]

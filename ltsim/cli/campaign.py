@@ -19,6 +19,7 @@ from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.arguments import bounded_parser, range_text
 from ltsim.core.errors import SetupError, StoppedError
+from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
 
 if TYPE_CHECKING:
@@ -171,15 +172,20 @@ def recover(
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
     result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv()})
     if junit is not None:
-        write_text(junit, junit_xml(result, str(scenario)))
+        write_text(junit, with_digest_comment(junit_xml(result, str(scenario))))
     terminal.print_json(result.content())
     if result.converged > 1:
-        terminal.print_text(result.table("parameters").text())
+        table = result.table("parameters")
+        terminal.print_text(table.text())
+        if "absolute error difference" in table.headings:
+            meaning = " ".join(table.meanings["absolute error difference"].split())
+            terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
     for sentence in result.failure_sentences():
         streams.write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    rate = "" if result.tolerances else f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
+    by_chance = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
+    rate = "" if result.tolerances or len(result.unchecked) == len(result.parameters) else by_chance
     done = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.errors]}"
     terminal.print_text(f"{done}: {result.verdict_text()}{rate}")
 
@@ -206,7 +212,7 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
         for name in ("value", "low", "high"):
             SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
-            SubElement(case, "failure", message=check.sentence())
+            SubElement(case, "failure", message=result.failure_reason(check)).text = check.sentence()
     for name in unchecked:
         case = SubElement(root, "testcase", classname=f"recover.{name}", name="not checked", time="0.000")
         SubElement(

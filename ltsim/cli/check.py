@@ -154,7 +154,8 @@ def _item_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
 def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False, *, terminal: ResultTerminal) -> int:
     """Predict acceptance tests of a tracker, or evaluate measured errors, against the limits of its specification.
 
-    Writes accept.json and accept.csv to --out. Exit status 1 if a measured error exceeds its limit.
+    Measured errors are judged by ISO 14253-1. Exit status 0 if all tests are accepted, 1 if one is rejected or
+    undecided (`judgement` in accept.json). Writes accept.json and accept.csv to --out.
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
@@ -170,7 +171,7 @@ def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False
         content = lt.accept(file)
     content = terminal.write_result(content, lambda: {TESTS_TABLE.file: content.table("tests").csv()})
     terminal.print_result(content)
-    return int(content.kind != "predicted" and content.passes < 1)
+    return int(content.judgement not in (None, "accepted"))
 
 
 def bench(file: BenchTableArgument, *, terminal: ResultTerminal, **options: Any) -> None:

@@ -1,5 +1,6 @@
 """Command `convert`: conversion between formats of recordings."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,7 +8,13 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import FramedReadingOptions
-from ltsim.cli.places import FILE_OR_FOLDER_OUTPUT, ForceOption, check_new_file, check_recording_folder
+from ltsim.cli.places import (
+    COMPARED_FILE_OUTPUT,
+    FILE_OR_FOLDER_OUTPUT,
+    RECORDING_OUTPUT,
+    ForceOption,
+    write_outputs,
+)
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import FORMATS
 from ltsim.recordings.summary import recording_summary
@@ -39,10 +46,11 @@ def convert(
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
-    (check_recording_folder if to == "native" else check_new_file)(destination, force)
-    recording = reading.read(source)
-    terminal.print_notes(recording.notes)
-    recording = lt.convert(recording, destination, to=to, **options)
+    (RECORDING_OUTPUT if to == "native" else COMPARED_FILE_OUTPUT).check(destination, force)
+    source_recording = reading.read(source)
+    writer = partial(lt.convert, source_recording, to=to, **options)
+    (recording,) = write_outputs({destination: writer}, force=force)
+    terminal.print_notes(source_recording.notes)
     topics = recording_summary(recording)
     terminal.print_json({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
     terminal.print_text(recording.headline)

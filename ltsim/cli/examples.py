@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_new_file
+from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, COMPARED_FILE_OUTPUT, ForceOption, write_outputs
 from ltsim.cli.terminal import Terminal
-from ltsim.recordings.files import write_texts
+from ltsim.recordings.files import write_text
 from ltsim.simulation.builtin import builtin_text
 
 ExamplesFolderArgument = Annotated[
@@ -51,8 +52,10 @@ def examples(
     Example: ltsim examples my-folder
     """
     for name in EXAMPLE_COMMANDS:
-        check_new_file(folder / name, force=force)
-    write_texts(folder, {name: example_text(name) for name in EXAMPLE_COMMANDS})
+        COMPARED_FILE_OUTPUT.check(folder / name, force)
+    write_outputs(
+        {folder / name: partial(write_text, text=example_text(name)) for name in EXAMPLE_COMMANDS}, force=force
+    )
     terminal.print_json(
         {
             "folder": str(folder),

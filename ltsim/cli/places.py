@@ -1,24 +1,28 @@
 """Output files and folders, checked before a verb begins: write permission, and files that would be replaced.
 
 Without --force a command writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
-files of the same command. An option or argument for an output has an `OutputPlace` in its annotation; `typer_command`
-applies its rule before it calls the command.
+files of the same command. A recording, or a file that holds no mark of its command, is never replaced by another
+content: it stays if its content is the one to be written (`write_outputs`).
+
+An option or argument for an output has an `OutputPlace` in its annotation; `typer_command` applies its rule before it
+calls the command.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.notation import listing
-from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, path_in_folder
+from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, is_unmodified, path_in_folder
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -124,9 +128,56 @@ def check_recording_folder(folder: Path, force: bool) -> None:
     existing_names = _existing_file_names(folder, (OBSERVATIONS_FILE, SETUP_FILE))
     if force:
         return
-    if existing_names:
+    if len(existing_names) == 1:
         _raise_occupied_folder(folder, existing_names)
     _check_no_foreign_files(folder)
+
+
+def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool) -> list[Any]:
+    """Values of the functions that write recordings and files to paths, in order.
+
+    An existing recording or file stays if it has the same content, and is replaced only with `force`. If one of them
+    has another content, nothing is written: raises RecordError.
+    """
+    same_contents = {} if force else {path: _compare_content(path, write) for path, write in outputs.items()}
+    return [
+        write(path) if (same := same_contents.get(path)) is None else same.returned_value
+        for path, write in outputs.items()
+    ]
+
+
+class _SameContent(NamedTuple):
+    """Value of the function that writes a content which exists already."""
+
+    returned_value: Any
+
+
+def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent | None:
+    """Value of `write` if the recording or file exists with the same content, None if it does not exist.
+
+    Raises RecordError for another content.
+    """
+    if not os.path.lexists(path) or is_device(path):
+        return None
+    with TemporaryDirectory() as place:
+        copy = Path(place) / path.name
+        try:
+            returned_value = write(copy)
+        except RecordError as problem:
+            raise RecordError(str(problem).replace(str(copy), str(path))) from None
+        written = sorted(p.relative_to(copy) for p in (copy.rglob("*") if copy.is_dir() else [copy]) if p.is_file())
+        existing = [name for name in written if os.path.lexists(path / name)]
+        if not existing:
+            return None
+        if existing == written and all((path / p).read_bytes() == (copy / p).read_bytes() for p in written):
+            return _SameContent(returned_value)
+    if path.is_file():
+        raise RecordError("exists with another content; choose another name, or replace it with --force", file=path)
+    names = listing([str(name) for name in existing], 3)
+    raise RecordError(
+        f"the folder contains {names} with another content; choose another folder, or replace them with --force",
+        file=path,
+    )
 
 
 def check_empty_folder(folder: Path, force: bool) -> None:
@@ -139,15 +190,27 @@ def check_empty_folder(folder: Path, force: bool) -> None:
 
 
 def check_new_file(file: Path, force: bool) -> None:
-    """Check that a file does not exist, except for a page written by ltsim; raises RecordError."""
+    """Check that a file does not exist, except for a page or an unmodified XML file written by ltsim.
+
+    Raises RecordError.
+    """
     check_writable(file, folder=False)
     if force or not os.path.lexists(file) or is_device(file):
+        return
+    if file.is_file() and is_unmodified(file):
         return
     if file.is_file() and file.suffix == ".html":
         with file.open("rb") as stream:
             if GENERATOR_TAG.encode() in stream.read(MAX_SEARCHED_BYTES):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
+
+
+def check_compared_file(file: Path, force: bool) -> None:
+    """Check that a file can be written, and read if it exists, for `write_outputs`; raises RecordError."""
+    check_writable(file, folder=False)
+    if os.path.lexists(file) and not file.exists() and not force:
+        raise RecordError("is a link that leads nowhere; choose another name, or replace it with --force", file=file)
 
 
 def _check_no_foreign_files(folder: Path) -> None:
@@ -190,10 +253,12 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
     )
 
 
+COMPARED_FILE_OUTPUT = OutputPlace(check_compared_file)
+"""Output file that `write_outputs` writes if it is new."""
 FILE_OUTPUT = OutputPlace(check_new_file)
 """Output file that must be new, or a page of ltsim."""
 RECORDING_OUTPUT = OutputPlace(check_recording_folder)
-"""Output folder for a recording, without another recording and without other files."""
+"""Output folder for a recording without other files, which `write_outputs` writes if it is new."""
 EMPTY_FOLDER_OUTPUT = OutputPlace(check_empty_folder)
 """Output folder that must be new or empty."""
 COMMAND_CHECKED_OUTPUT = OutputPlace(lambda folder, force: check_writable(folder, folder=True))

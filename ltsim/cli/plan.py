@@ -41,6 +41,14 @@ BetweenOption = Annotated[
         "--between", metavar="A,B", help="With --after: effects to discriminate; default from a diagnosis of REC."
     ),
 ]
+SiteOption = Annotated[
+    str | None,
+    typer.Option(
+        "--site",
+        metavar="PLAN",
+        help="With --after: plan, its folder, or scenario of the hall; new stations meet its floor, bodies and sights.",
+    ),
+]
 WithoutOption = Annotated[
     str | None,
     typer.Option(
@@ -64,6 +72,7 @@ def plan(
     show: ShowPlanOption = False,
     after: AfterOption = None,
     between: BetweenOption = None,
+    site: SiteOption = None,
     without: WithoutOption = None,
     *,
     reading: ReadingOptions,
@@ -90,9 +99,11 @@ def plan(
         if source is not None:
             raise SetupError("ltsim plan needs either FILE or --after REC, not both")
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
-        return _propose_next_measurement(terminal, reading.read(after), _effect_names(between), out)
+        return _propose_next_measurement(terminal, reading.read(after), _effect_names(between), site, out)
     if between is not None:
         raise SetupError("--between needs --after REC, the recording that has several explanations")
+    if site is not None:
+        raise SetupError("--site needs --after REC, the recording to which a station is added")
     if source is None:
         raise SetupError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
     if show:
@@ -234,7 +245,11 @@ def _effect_names(effect_list: str | None) -> tuple[str, ...]:
 
 
 def _propose_next_measurement(
-    terminal: Terminal, recording: Recording, effect_names: tuple[str, ...], result_folder: Path | None
+    terminal: Terminal,
+    recording: Recording,
+    effect_names: tuple[str, ...],
+    site: str | None,
+    result_folder: Path | None,
 ) -> None:
     from ltsim.diagnosis.detectability import ambiguous_explanations
     from ltsim.recordings.result_file import write_result
@@ -254,6 +269,7 @@ def _propose_next_measurement(
             recording,
             between=effect_names,
             with_effects=modelled,
+            site=site,
             progress=lambda task, fraction: reports.setdefault(task, _percent_callback(advance))(task, fraction),
         )
     content = content.model_copy(update={"diagnosis": summary})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,12 +16,14 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.options import FramedReadingOptions, RecordingArgument
 from ltsim.cli.places import (
     COMMAND_CHECKED_OUTPUT,
+    COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
     FILE_OUTPUT,
     RECORDING_OUTPUT,
     ForceOption,
     check_new_file,
     check_recording_folder,
+    write_outputs,
 )
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import ModelError, SetupError
@@ -40,12 +43,12 @@ RecordingFolderOption = Annotated[
 TruthFileOption = Annotated[
     Path | None,
     typer.Option("--truth", metavar="FILE", help="File for the truth, which no calibrator reads."),
-    FILE_OUTPUT,
+    COMPARED_FILE_OUTPUT,
 ]
 NominalFileOption = Annotated[
     Path | None,
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
-    FILE_OUTPUT,
+    COMPARED_FILE_OUTPUT,
 ]
 PerTrialOption = Annotated[
     bool, typer.Option("--per-trial", help="Draw new stations and targets, as in a campaign with geometry per trial.")
@@ -67,7 +70,7 @@ InjectionFolderOption = Annotated[
 InjectedValuesFileOption = Annotated[
     Path | None,
     typer.Option("--truth", metavar="FILE", help="File for the injected values, which no diagnosis reads."),
-    FILE_OUTPUT,
+    COMPARED_FILE_OUTPUT,
 ]
 DetectionCurveOption = Annotated[
     bool, typer.Option("--curve", help="Inject it at six strengths; report the fractions detected, located and named.")
@@ -99,11 +102,12 @@ def simulate(
 
     recording, true = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
     table = nominal_csv(true) if nominal is not None else ""
-    lt.write(recording, out)
+    outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, recording)}
     if truth is not None:
-        lt.write(true, truth)
+        outputs[truth] = partial(lt.write, true)
     if nominal is not None:
-        write_text(nominal, table)
+        outputs[nominal] = partial(write_text, text=table)
+    write_outputs(outputs, force=force)
     terminal.print_notes(recording.notes)
     terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
     terminal.print_text(recording.headline)
@@ -150,9 +154,10 @@ def inject(
     recording = reading.read_and_report(source, terminal)
     del options["injections"]
     made, injected = lt.inject(recording, *causes, **options)
-    lt.write(made, out)
+    outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, made)}
     if truth is not None:
-        write_text(truth, json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
+        outputs[truth] = partial(write_text, text=json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
+    write_outputs(outputs, force=force)
     terminal.print_json({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
     if truth is None:
         terminal.print_text(repr(injected))

@@ -76,9 +76,9 @@ class StoppedError(LtsimError):
 
 
 class CalibratorError(LtsimError):
-    """Error for an external calibration program that ended without a result.
+    """Error for a trial in which an external calibrator gives no valid result: it fails the check, the input is right.
 
-    The message contains its command, its exit status and its last line of output.
+    For a program the message has its command, status and last line.
     """
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 import re
@@ -96,6 +97,23 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
             file=folder / file_name,
         )
     return place
+
+
+def with_digest_comment(text: str) -> str:
+    """XML text with its digest in a comment at its end, by which `is_unmodified` recognises it."""
+    return f"{text}<!-- written by ltsim, sha256 {hashlib.sha256(text.encode()).hexdigest()} -->\n"
+
+
+def is_unmodified(path: Path) -> bool:
+    """True for a file that was written by `with_digest_comment` and was not changed since."""
+    n_bytes = len(with_digest_comment("").encode())
+    with path.open("rb") as stream:
+        stream.seek(-min(n_bytes, path.stat().st_size), os.SEEK_END)
+        if not stream.read().startswith(b"<!-- written by ltsim"):
+            return False
+        stream.seek(0)
+        content = stream.read()
+    return content == with_digest_comment(content[:-n_bytes].decode("utf-8", "replace")).encode()
 
 
 def is_device(path: Path) -> bool:

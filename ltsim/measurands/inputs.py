@@ -60,9 +60,7 @@ class UncertaintySource(ValueEquality):
     name: str
     """Name of the source in the budget."""
     evaluation_type: Literal["A", "B"]
-    """Type of evaluation: ``A`` for repeated observations and for values declared with observations, ``B`` for all
-    others.
-    """
+    """Type of evaluation: ``A`` for observations, ``B`` for specifications, certificates and all others."""
     point_response: Floats
     """Displacement of all T points by one standard deviation of each of q random variables, shape (3 T, q) [m]."""
     distribution: str = "normal"
@@ -180,10 +178,14 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
-    sources = [UncertaintySource(name, "A", point_response[rows].T) for name, rows in groups if name and len(rows)]
+    sources = [
+        UncertaintySource(name, "B" if name == PRIOR_SOURCE else "A", point_response[rows].T)
+        for name, rows in groups
+        if name and len(rows)
+    ]
     if len(gauge):
         lengths = UncertaintySource(
-            LENGTHS_SOURCE, "A", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
+            LENGTHS_SOURCE, "B", by_length @ gauge.decorrelate(np.diag(gauge.certificate_sigmas))
         )
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
     shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_changes.items())

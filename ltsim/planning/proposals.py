@@ -1,6 +1,6 @@
 """Result of `next_measurement`: Python object, next.json, tables."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field
@@ -77,6 +77,15 @@ PROPOSALS_TABLE = Table(
 )
 
 
+def _best_by_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
+    """Proposals in their order, without further yaws of a new station at the same place."""
+    best: dict[object, ProposalEntry] = {}
+    for number, proposal in enumerate(proposals):
+        place = proposal.position_mm if proposal.kind == "station" else None
+        best.setdefault(place or number, proposal)
+    return tuple(best.values())
+
+
 class NextMeasurement(ResultFile):
     """`next.json`: the result of `next_measurement`, written by `plan --after`."""
 
@@ -91,18 +100,21 @@ class NextMeasurement(ResultFile):
     """Chi-square difference between the first explanation and each other one in the present recording."""
     advice: str = ""
     """First action to take, as a sentence."""
+    site: str = ""
+    """Plan whose floor, bodies and lines of sight new stations meet; empty if they were not checked."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """Proposals of additional measurements, the best first."""
+    """Proposals of additional measurements, the best first; of each place of a new station the best yaw."""
 
     @classmethod
-    def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
+    def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
         """Result with the proposals for a recording."""
         return cls(
             recording=source,
             between=ranked.compared_explanations,
             evidence_now=ranked.present_chi2,
             advice=ranked.advice_sentence,
-            proposals=tuple(ProposalEntry.from_proposal(proposal) for proposal in ranked.proposals),
+            site=site,
+            proposals=_best_by_place([ProposalEntry.from_proposal(proposal) for proposal in ranked.proposals]),
         )
 
     def _lines(self) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
+from ltsim.adjustment.remedies.remedy import SiteSights
 from ltsim.core.arguments import MOVE_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
@@ -22,6 +23,7 @@ from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
 from ltsim.planning.workshop import unsearched_plan
+from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
@@ -89,6 +91,7 @@ def next_measurement(
     *,
     between: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
+    site: str | Path | None = None,
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
@@ -104,6 +107,9 @@ def next_measurement(
     with_effects : str, Effect or sequence of them
         Effects that are already in the model in addition to those of `between`; an effect given by name acts where it
         fits the residuals best.
+    site : str or Path, optional
+        Plan file, scenario or folder of a plan, in whose floor-plan axes the recording gives positions of stations. New
+        stations are then proposed only where its floor and bodies permit a tripod, for the targets in sight.
     minutes_per_move : float
         Time [min] for moving the tripod.
     progress : callable
@@ -124,9 +130,24 @@ def next_measurement(
     """
     measured = load_recording(recording)
     made = ranked(
-        measured, explanations=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
+        measured,
+        explanations=between,
+        with_effects=with_effects,
+        minutes_per_move=minutes_per_move,
+        site_sights=None if site is None else _site_sights(site, measured),
+        progress=progress,
     )
-    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured))
+    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
+
+
+def _site_sights(site: str | Path, recording: Recording) -> SiteSights:
+    """Sights at the site of a plan; raises SetupError for a recording without positions on the floor plan."""
+    if all(station.position_mm is None for station in recording.setup.stations.values()):
+        raise SetupError(
+            f"{option('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml"
+        )
+    space = unsearched_plan(*load_plan_and_scenario(site))[1]
+    return lambda places, targets: space.is_visible(places, targets) & space.is_allowed(places)[:, None]
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,8 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
         value = kind(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_MAGNITUDE:
             raise RecordError(
-                f"contains the number {quoted_text(text)}, expected at most {MAX_MAGNITUDE:g} in size", file=file
+                f"contains the number {quoted_text(text)}, expected a finite one, at most {MAX_MAGNITUDE:g} in size",
+                file=file,
             )
         return value
 

@@ -42,6 +42,7 @@ HEADLINES = {
     ("History", "good"): "The instrument has not changed.",
     ("History", "bad"): "The instrument has changed.",
     ("Acceptance", "good"): "All errors are within the limits.",
+    ("Acceptance", "caution"): "No error is shown to exceed its limit, and not all are shown to be within.",
     ("Acceptance", "bad"): "Some errors exceed the limits.",
     ("Prediction", "good"): "The tracker is likely to pass all tests.",
     ("Prediction", "bad"): "The tracker is likely to fail a test.",
@@ -147,7 +148,7 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: A
         values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
         lines += [(key, text)] if text else []
-    axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
+    axes = "; ".join(dict.fromkeys(s.axes for s in sections if s.axes))
     return [*lines, *([("axes", axes)] if axes else [])]
 
 

@@ -213,7 +213,7 @@ def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: lis
             lighting=False,
             name=f"rims-{k}",
         )
-        what = "red cone and disc" if k == 0 else "orange circle"
+        what = "cone and disc" if k == 0 else "thin circle"
         lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
 
 

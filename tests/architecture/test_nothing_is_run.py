@@ -43,7 +43,9 @@ ALLOWED = {
     "ltsim/reports/figures/__init__.py": {"import_module": "the figures, by the name of an attribute in code"},
     "ltsim/cli/main.py": {"import_module": "the verbs, by the table in the same file"},
     "ltsim/cli/options.py": {"literal_eval": "defaults in the source of the package itself, for the help"},
-    "ltsim/campaigns/scoring.py": {"run": "the program that the user names as --calibrator; no file can name it"},
+    "ltsim/campaigns/external_calibrator.py": {
+        "run": "the program that the user names as --calibrator; no file can name it"
+    },
     "ltsim/campaigns/campaign.py": {"run": "`git rev-parse HEAD`, fixed words, in the folder of the package"},
     "ltsim/scene/cad_process.py": {"run": "this interpreter with a fixed program; a file's path is an argument"},
     "ltsim/core/values.py": {"__reduce__": "parts of an object in memory, to compare them"},

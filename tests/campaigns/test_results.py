@@ -206,6 +206,25 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     assert all(line.partition("]: ")[2] for line in meanings)
 
 
+def test_the_page_tells_which_method_is_better_by_paired_differences(sweep: Any) -> None:
+    section = campaign_section(sweep.folder)
+    table = section.blocks[0]
+    assert isinstance(table, TableBlock) and table.title == "Which method is better: error of a new point"
+    statistic = "new_point_error_calibrated_um"
+    by_method = {m: [s.mean for s in sweep.distribution(statistic) if s.method == m] for m in sweep.manifest.methods}
+    best, other = sorted(by_method, key=lambda method: sum(by_method[method]))
+    paired = sweep.paired_differences(statistic, method=(other, best)).entries
+    names = cell_descriptions(sweep)
+    for row, cell, entry in zip(table.rows, names, paired, strict=True):
+        decided = f"{best} is better" if entry.low > 0 else f"{other} is better" if entry.high < 0 else "not decided"
+        assert row[:2] == [names[cell], f"{other} less {best}"] and row[-2:] == [decided, "24"]
+        assert float(row[2]) == pytest.approx(entry.difference, rel=0.01)
+    n_decided = sum(entry.low > 0 for entry in paired)
+    assert f"the error of a new point with {best} is " in section.summary
+    assert (f" in {n_decided} of 4 settings" if n_decided else "not different from") in section.summary
+    assert "true point" in table.note
+
+
 def test_an_interruption_of_a_query_is_an_interruption(sweep: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt

@@ -32,6 +32,8 @@ def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys:
     assert [task.name for task in load_tasks(folder / "uncertainty.toml").task] == ["length", "floor"]
     assert load_acceptance(folder / "acceptance.toml")
     assert len(lt.scenario(folder / "workshop.toml").stations) == 5
+    assert run(["examples", str(folder), "-q"]) == 0
+    (folder / "hall.csv").write_text("mine")
     assert run(["examples", str(folder)]) == 2 and "--force" in capsys.readouterr().err
     assert run(["examples", str(folder), "--force"]) == 0
 

@@ -38,12 +38,44 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_recording_is_never_replaced_by_itself(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rec, cal = str(made / "rec"), str(made / "cal")
     before = {p.name: p.read_bytes() for p in (made / "rec").iterdir()}
-    assert "observations.csv, setup.toml" in refused(["simulate", "paper-workshop", "--out", rec], capsys)
-    refused(["correct", rec, "--calibration", cal, "--out", rec], capsys)
+    other = ["simulate", "paper-workshop", "--seed", "1", "--out", rec]
+    assert "observations.csv, setup.toml with another content" in refused(other, capsys)
+    refused(["correct", rec, "--calibration", cal, "--out", rec, "-q"], capsys)
     refused(["convert", rec, rec], capsys)
-    assert {p.name: p.read_bytes() for p in (made / "rec").iterdir()} == before
     assert run(["simulate", "paper-workshop", "--out", rec, "--force", "-q"]) == 0
     assert {p.name: p.read_bytes() for p in (made / "rec").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["convert", "REC", "OUT/copy"],
+        ["convert", "REC", "OUT/copy.txt", "--to", "polar-text"],
+        ["simulate", "paper-workshop", "--out", "OUT/rec", "--truth", "OUT/truth.json"],
+        ["inject", "REC", "range-step:S3", "--out", "OUT/rec", "--truth", "OUT/injected.json"],
+        ["correct", "REC", "--calibration", "CAL", "--out", "OUT/rec"],
+        ["examples", "OUT"],
+    ],
+    ids=lambda verb: " ".join(verb[:3]),
+)
+def test_a_command_given_twice_leaves_its_own_unmodified_output(
+    verb: list[str], made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """And nothing of it is replaced after one of its files was changed."""
+    named = {"REC": str(made / "rec"), "CAL": str(made / "cal")}
+    arguments = [named.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in verb]
+    assert run([*arguments, "-q"]) == 0
+    files = {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert run([*arguments, "-q"]) == 0
+    assert {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()} == files
+    for changed in files:
+        changed.write_bytes(files[changed] + b"\n")
+        capsys.readouterr()
+        assert run([*arguments, "-q"]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "with another content" in said and "--force" in said
+        assert changed.read_bytes() == files[changed] + b"\n"
+        changed.write_bytes(files[changed])
 
 
 def test_a_result_of_the_same_verb_is_made_again(

@@ -15,7 +15,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
-from ltsim.measurands.inputs import TaskInputs, UncertaintySource
+from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import part_expansion, propagate, run_monte_carlo, shortest_intervals
 from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, ToleranceLimits, validate_tasks
@@ -56,7 +56,10 @@ def evaluated() -> TaskEvaluation:
 
 def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
-    own = np.sum([source.covariance for source in inputs.sources if source.evaluation_type == "A"], axis=0)
+    evaluation_types = {source.name: source.evaluation_type for source in inputs.sources}
+    assert evaluation_types["distance readings"] == "A" and evaluation_types[PRIOR_SOURCE] == "B"
+    in_adjustment = {name for name, kind in evaluation_types.items() if kind == "A"} | {PRIOR_SOURCE, LENGTHS_SOURCE}
+    own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
         block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
@@ -69,12 +72,13 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{UNIT_SUFFIXES[0]}": shared})
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
     names = {"error of a reflector against incidence", "error that readings share"}
-    assert {source.name for source in inputs.sources if source.evaluation_type == "B"} == names
+    type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
+    assert type_b_names == names | {PRIOR_SOURCE, LENGTHS_SOURCE}
     for i, name in enumerate(inputs.target_names):
         block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
-    largest = max(np.trace(source.covariance) for source in inputs.sources if source.evaluation_type == "B")
+    largest = max(np.trace(source.covariance) for source in inputs.sources if source.name in names)
     assert largest > 0.05 * np.trace(inputs.covariance)
 
 

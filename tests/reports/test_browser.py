@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ltsim.core.results import Table
 from ltsim.reports import workshop
+from ltsim.reports.document import Document, Section, table_block
+from ltsim.reports.page import page_html
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.verbs import report
 from tests.reports import samples
@@ -94,6 +98,20 @@ def test_a_phone_never_scrolls_sideways(kind: str, page: Path, tmp_path: Path) -
     made = {"history": samples.history_folder, "next": samples.next_folder, "plan": samples.plan_folder}
     made["campaign"] = samples.campaign_folder
     html = page.read_text() if kind == "calibration" else report(made[kind](tmp_path / kind)).read_text()
+    assert_nothing_is_cut_on_a_phone(html, tmp_path)
+
+
+def test_coordinates_of_a_large_hall_are_not_cut_on_a_phone(tmp_path: Path) -> None:
+    columns = {name: [-112345.6789, 98765.4321] for name in ("x [mm]", "y [mm]", "z [mm]")}
+    columns |= {f"U {axis} [um]": [1048.0, 1049.0] for axis in "xyz"}
+    table = Table.from_columns("targets", {"name": ["M01", "pillar north"], **columns})
+    shown = replace(table, columns=tuple(replace(c, shown=".4f" if "mm" in c.name else ".0f") for c in table.columns))
+    section = Section("Targets", "Network", "Two targets.", blocks=table_block("Targets", shown))
+    assert_nothing_is_cut_on_a_phone(page_html(Document("Targets", "", "plain", [section])), tmp_path)
+
+
+def assert_nothing_is_cut_on_a_phone(html: str, tmp_path: Path) -> None:
+    """Check of the widths of the page and of its tables in a frame of 390 pixels."""
     inner = tmp_path / "inner.html"
     inner.write_text(html.replace("</body>", PROBE))
     outer = tmp_path / "phone.html"

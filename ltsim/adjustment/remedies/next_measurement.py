@@ -20,6 +20,7 @@ from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.remedy import (
     KINDS_BY_EFFORT,
     Remedy,
+    SiteSights,
     advice_sentence,
     calibrated_length_remedy,
     list_text,
@@ -254,9 +255,13 @@ def rank_next_measurements(
     explanations: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
+    site_sights: SiteSights | None = None,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
-    """Proposals of further measurements after a recording, the best first; arguments as in `lt.next_measurement`."""
+    """Proposals of further measurements after a recording, the best first; arguments as in `lt.next_measurement`.
+
+    `site_sights` restricts the places of additional stations.
+    """
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
@@ -268,10 +273,17 @@ def rank_next_measurements(
         space = residual_space_of(adjustment, extra_effects)
         asked = [best_explanation(space, name) for name in explanations]
         return rank_deciding_measurements(
-            adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress
+            adjustment,
+            asked,
+            extra_effects,
+            seconds_per_move=60.0 * minutes_per_move,
+            site_sights=site_sights,
+            progress=progress,
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    candidates = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
+    stations = station_remedies(network, move, site_sights)
+    pointings = pointing_remedies(network, site_sights=site_sights)
+    candidates = *pointings, *return_remedies(network, move), *stations
     proposals = []
     for done, proposal in enumerate(_proposals_of(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
@@ -285,13 +297,15 @@ def rank_deciding_measurements(
     extra_effects: Sequence[Signature] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
+    site_sights: SiteSights | None = None,
     stops_at_first: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Proposals of further measurements, ranked by their evidence between two or more possible causes of a misfit.
 
     Each cause is to be distinguished from the first; causes that are already distinguished are ignored. The adjustment
-    estimates `extra_effects` too. With `stops_at_first` the search ends at the first measurement that decides.
+    estimates `extra_effects` too. `site_sights` restricts the places of additional stations. With `stops_at_first` the
+    search ends at the first measurement that decides.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
@@ -301,14 +315,13 @@ def rank_deciding_measurements(
     if len(decided_names) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
     suspects = [target for e in explanations for target in e.effect.targets]
-    nearby_remedies = sorted(pointing_remedies(network, suspects), key=_effort_rank)
+    nearby_remedies = sorted(pointing_remedies(network, suspects, site_sights), key=_effort_rank)
     repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
     costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
     total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
-    every = chain(
-        nearby_remedies, repeat_remedies, _most_informative_stations(network, seconds_per_move), costly_remedies
-    )
+    stations = _most_informative_stations(network, seconds_per_move, site_sights)
+    every = chain(nearby_remedies, repeat_remedies, stations, costly_remedies)
     for remedy in every:
         longer_adjustment = remedy.make_adjustment()
         if longer_adjustment is None:
@@ -338,8 +351,11 @@ def _effort_rank(remedy: Remedy) -> tuple[int, float]:
     return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
 
 
-def _most_informative_stations(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
+def _most_informative_stations(
+    network: PlannedNetwork, seconds_per_move: float, site_sights: SiteSights | None
+) -> Iterator[Remedy]:
     """Additional stations that give most information on the instrument, the quickest first."""
-    proposals = _proposals_of(station_remedies(network, seconds_per_move), network.make_adjustment())
+    remedies = station_remedies(network, seconds_per_move, site_sights)
+    proposals = _proposals_of(remedies, network.make_adjustment())
     best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
     yield from sorted((p.remedy for p in best), key=_effort_rank)

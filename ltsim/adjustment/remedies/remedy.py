@@ -6,7 +6,7 @@ between possible causes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
@@ -24,6 +24,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
+SiteSights = Callable[[Floats, Floats], Bools]
+"""Function of places (N, 3) and targets (T, 3) on the floor plan [m]: flags (N, T) of the targets in sight.
+
+There are none from a place where no tripod may stand.
+"""
 RemedyKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
 KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
@@ -72,7 +77,7 @@ ADVICE_SENTENCES = {
     # a further set-up
     "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
     "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
-    "yaw {yaw:.0f} deg ({frame}), and measure all targets",
+    "yaw {yaw:.0f} deg ({frame}), and measure {targets}",
     # the whole work in another way
     "other face": "measure every target in both faces",
     "close": "measure the first {count} targets again before leaving each station",
@@ -186,7 +191,9 @@ class FloorPlan:
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 
-def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = ()) -> Iterator[Remedy]:
+def pointing_remedies(
+    network: PlannedNetwork, suspect_targets: Iterable[str] = (), site_sights: SiteSights | None = None
+) -> Iterator[Remedy]:
     """Further measurements at the last station, before the tracker is dismantled.
 
     `suspect_targets` are names of targets that may be wrong and should be measured again.
@@ -221,6 +228,10 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
     unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
+    if site_sights is not None:
+        places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
+        plan = FloorPlan.from_recording(recording, network.state)
+        unseen = unseen[site_sights(*map(plan.positions_on_plan, places))[0]]
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
@@ -245,7 +256,9 @@ def return_remedies(
             yield _setup_remedy("return", words, grown, target, seconds_per_move)
 
 
-def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
+def station_remedies(
+    network: PlannedNetwork, seconds_per_move: float, site_sights: SiteSights | None = None
+) -> Iterator[Remedy]:
     """Further measurements: an additional station on a grid between and around the others, with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
@@ -260,13 +273,16 @@ def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterat
     places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
     occupied_places = np.concatenate([state.station_positions, state.target_points])
     is_visible = compute_visibility(places, state.target_points, limits).is_visible
+    if site_sights is not None:
+        is_visible = is_visible & site_sights(*map(plan.positions_on_plan, (places, state.target_points)))
     for position, sights in zip(places, is_visible, strict=True):
         if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
             continue
         for turn in range(N_YAWS):
             rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_YAWS)
             place, yaw = plan.positions_on_plan(position), plan.yaw_on_plan(rotation) / DEGREE % 360
-            words = advice_sentence("new station", station=name, place=place, yaw=yaw, frame=frame)
+            targets = "all targets" if sights.all() else f"the {sights.sum()} targets in sight"
+            words = advice_sentence("new station", station=name, place=place, yaw=yaw, frame=frame, targets=targets)
             grown = network.with_station(name, 0, position, rotation)
             yield _setup_remedy("station", words, grown, np.flatnonzero(sights), seconds_per_move)
 

@@ -47,13 +47,19 @@ def displacement_figure(comparison: Comparison) -> Figure:
     return figure
 
 
+JUDGEMENT_MARKS = (
+    ("accepted", "o", 2.6, style.BLUE, style.BLUE),
+    ("undecided", "o", 3.6, style.INK_COLOUR, "none"),
+    ("rejected", "x", 5.0, style.RED, style.RED),
+)
+"""Marker, its size [points], colour of its edge and of its face by the judgement of a test."""
 GROUP_HALF_WIDTH = 0.32
 """Half-width of the spread of a group's tests around its row, in row spacings."""
 
 
 @style.with_figure_style
 def error_to_limit_figure(content: AcceptanceFile) -> Figure:
-    """Error over limit of every test, one row per group; bars: expanded uncertainties, crosses: failed tests."""
+    """Error over limit of every test, one row per group; bars: expanded uncertainties; marks by judgement."""
     groups = [g.name for g in content.groups]
     figure, ax = style.new_panel(0.9 + 0.42 * max(len(groups), 3))
     rows = style.set_category_rows(ax, groups)
@@ -65,10 +71,23 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
         share = np.array([t.error_um / t.limit_um for t in mine])
         width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
         place = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(mine)) * (len(mine) > 1)
-        good = np.abs(share) <= 1
+        judged = np.array(
+            [t.judgement or ("accepted" if abs(s) <= 1 else "rejected") for t, s in zip(mine, share, strict=True)]
+        )
         ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
-        ax.plot(share[good], place[good], "o", ms=2.6, color=style.BLUE, mec="none")
-        ax.plot(share[~good], place[~good], "x", ms=5, color=style.RED, mew=1.4)
+        for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKS:
+            chosen = judged == judgement
+            edge_width = 1.4 if marker == "x" else 0.7
+            ax.plot(
+                share[chosen],
+                place[chosen],
+                marker,
+                ms=size,
+                mec=edge_colour,
+                mfc=face_colour,
+                mew=edge_width,
+                ls="none",
+            )
     largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
     ax.set_xlim(-1.15 * largest, 1.15 * largest)
     ax.set_xlabel("error / limit")

@@ -305,7 +305,9 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    return table_block("Criteria before and after calibration", content.criteria.criteria_table(), note=text)
+    table = content.criteria.criteria_table()
+    is_compared = any("after" in heading for heading in table.headings)
+    return table_block("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:

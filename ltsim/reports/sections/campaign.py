@@ -48,6 +48,7 @@ from ltsim.reports.figures.campaign_factors import (
     statistic_figures,
     varying_factors,
 )
+from ltsim.reports.sections.method_comparison import MethodComparison
 from ltsim.reports.words import as_sentence, count_text, tracker_presets_text
 from ltsim.simulation.keys import key_description
 
@@ -94,7 +95,9 @@ def campaign_section(folder: Path) -> Section:
     drawn_ = _distribution_figures(results, published)
     shown = [*_improvement_figures(results, spreads, published), *_varying_factors_table(results)] or drawn_[:1]
     shown += _means_by_level_table(results, spreads)
+    comparison = MethodComparison.from_results(results, spreads)
     shown[1:1] = _error_tables(results, spreads)
+    shown[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage_blocks(results, scores), *_statistic_tables(results, spreads, comparisons)]
     blocks.append(CodeBlock("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
@@ -104,13 +107,15 @@ def campaign_section(folder: Path) -> Section:
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
         kind="Campaign",
-        summary=_answer_sentence(results, spreads, comparisons),
+        summary=" ".join(
+            [_answer_sentence(results, spreads, comparisons), *([comparison.sentence()] if comparison else [])]
+        ),
         assessment=assessment_of(not sum(comparison.failed for comparison in comparisons)),
         key_figures=_key_figures(manifest, comparisons, scores),
         blocks=blocks,
         seed=str(manifest.seed),
         versions=versions,
-        axes="those of the scenario",
+        axes="the axes of the scenario",
         instrument=tracker_presets_text(manifest.scenarios),
         n_open_blocks=min(len(shown), MAX_OPEN_BLOCKS),
     )
@@ -185,8 +190,11 @@ def _key_figures(
             )
         )
     if scores:
-        shares = [s.coverage_95 for s in scores]
-        facts.append(KeyFigure("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
+        shares, n_intervals = [s.coverage_95 for s in scores], sum(s.trials for s in scores)
+        pooled = sum(s.coverage_95 * s.trials for s in scores) / n_intervals
+        spread = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
+        value = f"{100 * pooled:.1f} % of {n_intervals} intervals" + (spread if len(scores) > 1 else "")
+        facts.append(KeyFigure("coverage of 95 % intervals", value))
     return facts
 
 
@@ -315,7 +323,8 @@ def _error_tables(results: CampaignResults, spreads: Mapping[str, list[Statistic
             for of in zip(*entries, strict=all(entries))
         ]
         named = "new point" if share.startswith("new_point") else "point"
-        note = f"{_column_meaning(share)}. Noise floor: error with the true parameters. In brackets: 95 % interval."
+        note = f"Raw: {_column_meaning(ratio_columns(share)[0])}. Share removed: {_column_meaning(share)}. "
+        note += "Noise floor: error with the true parameters. In brackets: 95 % interval."
         blocks += table_block(f"Error of a {named}", ERRORS_TABLE.with_rows(rows), note=note)
     return blocks
 

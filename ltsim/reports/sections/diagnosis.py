@@ -294,8 +294,8 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
         return []
     swapped = _is_name_exchange(finding)
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
-    text = "The names of the red targets were exchanged: each reading belongs to the other end of the arrow."
-    caption = text if swapped else "Seen from above, in red."
+    text = "The names of the marked targets were exchanged: each reading belongs to the other end of the arrow."
+    caption = text if swapped else "Seen from above; the place is marked."
     caption += " The shaded area is the place in the hall, two standard deviations wide." if centre else ""
     workshop = workshop_from_adjustment(adjustments[1])
     area = {axis: (p.value, 2.0 * p.sigma) for axis, p in centre.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, pass_probability_text
+from ltsim.acceptance.files import AcceptanceFile, Judgement
 from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.significance import FAMILY_LEVEL
@@ -20,6 +20,7 @@ from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
+    Assessment,
     Block,
     BulletListBlock,
     KeyFigure,
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
 """Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
+ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
+"""Assessment of measured errors by their judgement."""
 MAX_ZERO_CONSTANT = 1e-6
 """Constant of an effect, in its unit, up to which it is zero and is not printed."""
 UNCERTAINTY_NOTE = (
@@ -104,7 +107,10 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
+    note = (
+        "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
+    )
+    note += "smallest motion that is detected with probability 80 %."
     shown = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
@@ -129,16 +135,22 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
 def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
-    good = assessment_of(content.passes >= (MIN_PASS_PROBABILITY if predicted else 1.0))
-    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1."
+    assessment = (
+        assessment_of(content.passes >= MIN_PASS_PROBABILITY)
+        if content.passes is not None
+        else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
+    )
+    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
+    caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_LISTED_TESTS]
+    ranked = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
+    last_column = "passes" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
         *entries_table(
-            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
-            is_marked=lambda t: not predicted and t.passes < 1,
+            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", last_column,
+            is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
@@ -161,15 +173,24 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
         KeyFigure("tests", str(len(content.tests))),
-        KeyFigure(
-            "probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good
-        ),
+        KeyFigure("judgement", content.judgement, assessment)
+        if content.judgement
+        else KeyFigure("probability to pass", f"{100 * (content.passes or 0.0):.1f} %", assessment),
         KeyFigure("plan", content.plan),
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
     kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
-    return Section(title, kind, as_sentence(content.sentence), good, facts, blocks, instrument=named)
+    return Section(
+        title,
+        kind,
+        as_sentence(content.sentence),
+        assessment,
+        facts,
+        blocks,
+        instrument=named,
+        next_actions=content.next_actions,
+    )
 
 
 def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
@@ -215,10 +236,16 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-UNKNOWN_SITE_SENTENCE = (
-    "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall."
-)
-"""Sentence on what the proposals of new stations do not know."""
+def _site_sentence(content: NextMeasurement) -> str:
+    """Sentence on what the proposals of new stations know of the hall; empty without such proposals."""
+    has_station = any(proposal.kind == "station" for proposal in content.proposals)
+    if content.site:
+        result = "New stations meet" if has_station else "No new station meets"
+        return f"{result} the floor, the bodies and the sights of {content.site}."
+    if not has_station:
+        return ""
+    sentence = "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall, "
+    return f"{sentence}or name its plan with {option('site')}."
 
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
@@ -231,8 +258,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
     proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
-    if any(proposal.position_mm is not None for proposal in content.proposals):
-        note += f" {UNKNOWN_SITE_SENTENCE}"
+    note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."

@@ -21,6 +21,7 @@ from ltsim.adjustment.remedies.remedy import (
     return_remedies,
 )
 from ltsim.calibration.network import calibrate_network
+from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read
 from tests.networks import drawn, network
@@ -102,6 +103,11 @@ def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetw
     words = [remedy.instruction for remedy in pointing_remedies(over) if "has not measured" in remedy.instruction]
     assert len(words) == 1
     assert f"({recording.targets[4]})" in words[0]
+
+    def blocked(places: Floats, targets: Floats) -> Bools:
+        return np.zeros((len(places), len(targets)), dtype=bool)
+
+    assert not [r for r in pointing_remedies(over, site_sights=blocked) if "has not measured" in r.instruction]
 
 
 def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_remedy(tmp_path: Path) -> None:

@@ -1,0 +1,138 @@
+"""External calibrators: programs or functions of a user that estimate parameters from a recording.
+
+A program is called with the folder of a recording and the name of a file to write: a `calibration.json`, or
+
+    {"format": "ltsim-estimates/1",
+     "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},
+                    {"name": "head-sag:sag", "value": 3.1, "unit": "urad"}]}
+
+A parameter without a sigma can be judged by a tolerance only.
+"""
+
+import os
+import shlex
+import subprocess
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, NamedTuple
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from ltsim.core.errors import CalibratorError, RecordError, SetupError
+from ltsim.core.parallel import SAFE_PATH
+from ltsim.core.units import SI_PER_UNIT
+from ltsim.recordings import Recording, write as write_recording
+from ltsim.recordings.files import quoted_text
+from ltsim.recordings.result_file import read_json
+from ltsim.recordings.setup import Finite
+
+MAX_LINE_LENGTH = 300
+"""Largest number of characters of an external program's last line in a message."""
+RECORDING_PLACEHOLDER = "{recording}"
+"""Word of a calibrator command that is replaced by the path of the recording."""
+OUTPUT_PLACEHOLDER = "{out}"
+"""Word of a calibrator command that is replaced by the path of the output file."""
+
+
+class ParameterEstimate(NamedTuple):
+    """Parameter estimated by a calibrator, in a unit that `ltsim effects` lists."""
+
+    value: Finite
+    sigma: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+    unit: str
+
+
+ExternalCalibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
+"""External calibrator: a command with the words {recording} and {out}, or a function that returns value, sigma and unit
+by name.
+"""
+_ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
+
+
+def split_command(command: str) -> list[str]:
+    """Words of a command; raises SetupError for a command without {recording} or {out}."""
+    for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
+        if place not in command:
+            expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
+            raise SetupError(f"--calibrator '{quoted_text(command)}' lacks {place}: expected {expected}")
+    try:
+        return shlex.split(command)
+    except ValueError as problem:
+        raise SetupError(f"--calibrator '{quoted_text(command)}': {problem}") from None
+
+
+def run_external_calibrator(
+    calibrator: ExternalCalibrator, recording: Recording, origin: str
+) -> dict[str, ParameterEstimate]:
+    """Parameters that an external calibrator estimates from a recording, by name.
+
+    Raises CalibratorError, with `origin`, when it ends without a valid result (a status other than 0, None, no file, a
+    value that is not finite); SetupError when it cannot be started.
+    """
+    if not isinstance(calibrator, str):
+        given = calibrator(recording)
+        if given is None:
+            raise CalibratorError(f"the calibrator gave no result (None) for {origin}")
+        try:
+            return _validated_estimates(given)
+        except RecordError as problem:
+            raise CalibratorError(f"the calibrator's result for {origin} is not valid: {problem}") from None
+    words = split_command(calibrator)
+    with TemporaryDirectory() as place:
+        folder, out = Path(place) / "recording", Path(place) / "estimates.json"
+        write_recording(recording, folder)
+        filled = [
+            word.replace(RECORDING_PLACEHOLDER, str(folder)).replace(OUTPUT_PLACEHOLDER, str(out)) for word in words
+        ]
+        try:
+            environment = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # of our processes
+            done = subprocess.run(
+                filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
+            )
+        except OSError as problem:
+            raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
+        what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {origin}"
+        lines = done.stderr.decode("utf-8", "replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
+        if done.returncode:
+            raise CalibratorError(f"{what}; {detail}")
+        try:
+            return _validated_estimates(_read_estimates(out / "calibration.json" if out.is_dir() else out))
+        except RecordError as problem:
+            raise CalibratorError(f"{what}, but its result is not valid: {problem}; {detail}") from None
+
+
+def _read_estimates(file: Path) -> dict[str, list[object]]:
+    """Value, sigma and unit by name from the file of a program; raises RecordError."""
+    if not file.exists():
+        raise RecordError(f"there is no file at {OUTPUT_PLACEHOLDER}")
+    try:
+        content = read_json(file, "list of parameters")
+        return {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
+    except RecordError as problem:
+        raise RecordError(str(problem).replace(f"{file}: ", f"the file at {OUTPUT_PLACEHOLDER} ", 1)) from None
+    except KeyError as problem:
+        raise RecordError(f"{problem} is missing; expected parameters with name, value and unit") from None
+    except (OSError, TypeError, AttributeError):
+        raise RecordError("the file is no list of parameters with name, value and unit") from None
+
+
+def _validated_estimates(answer: object) -> dict[str, ParameterEstimate]:
+    """Estimates by name, checked; raises RecordError."""
+    try:
+        estimates = _ESTIMATES_ADAPTER.validate_python(answer)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        name, *index = first["loc"] or ("the result",)
+        fields = [ParameterEstimate._fields[at] for at in index if isinstance(at, int)]
+        given, reason = quoted_text(repr(first["input"])), first["msg"].lower().replace("input", "it")
+        where = " of ".join([*fields, str(name)])
+        raise RecordError(f"{where} is {given}, {reason}; expected value, sigma and unit by name") from None
+    lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
+    if lost is not None:
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
+    if not estimates:
+        raise RecordError("it has no parameter, expected at least one")
+    return estimates

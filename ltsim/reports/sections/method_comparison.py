@@ -1,0 +1,103 @@
+"""Comparison of the methods of a campaign on the same draws: sentence and table of paired differences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_column
+from ltsim.core.notation import number_text
+from ltsim.reports.document import TableBlock, table_block
+from ltsim.reports.figures.campaign_factors import cell_descriptions
+from ltsim.reports.words import listing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ltsim.campaigns.paired import PairedDifference
+    from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.statistics import StatisticSummary
+
+COMPARED_STATISTICS = {
+    "new_point_error_calibrated_um": "error of a new point",
+    "target_error_um": "error of the targets",
+    "error_calibrated_um": "error of a point",
+}
+"""Names of the statistics by which methods are compared, in the order of choice; smaller values are better."""
+MAX_COMPARED_CELLS = 48
+"""Largest number of settings of a comparison, each of which takes two queries per method."""
+
+
+@dataclass(frozen=True)
+class MethodComparison:
+    """Paired differences of each other method minus the method with the smallest mean error."""
+
+    statistic: str
+    """Column of the rows."""
+    best_method: str
+    """Method with the smallest mean over all settings."""
+    settings: tuple[str, ...]
+    """Descriptions of the settings."""
+    differences: Mapping[str, Sequence[PairedDifference]]
+    """Differences in each setting, by the other method."""
+
+    @classmethod
+    def from_results(
+        cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
+    ) -> MethodComparison | None:
+        """Comparison of the methods of a campaign; None for one method, too many settings or no error to compare."""
+        statistic = next((name for name in COMPARED_STATISTICS if summaries.get(name)), "")
+        means: dict[str, list[float]] = {}
+        for summary in summaries.get(statistic, []):
+            means.setdefault(summary.method, []).append(summary.mean)
+        if len(means) < 2 or len(results.levels) > MAX_COMPARED_CELLS or len({len(m) for m in means.values()}) > 1:
+            return None
+        best = min(means, key=lambda method: sum(means[method]))
+        differences = {
+            method: results.paired_differences(statistic, method=(method, best)).entries
+            for method in means
+            if method != best
+        }
+        names = cell_descriptions(results)
+        return cls(statistic, best, tuple(names[cell] for cell in range(len(results.levels))), differences)
+
+    @property
+    def label(self) -> str:
+        """Name of the statistic in words."""
+        return COMPARED_STATISTICS[self.statistic]
+
+    def sentence(self) -> str:
+        """Sentence on the methods that are worse than the best one, and in how many settings."""
+        phrases = []
+        for method, entries in self.differences.items():
+            n_decided = sum(entry.low > 0 for entry in entries)
+            low, high = (number_text(limit(entry.difference for entry in entries)) for limit in (min, max))
+            size = f"{low} um" if len(entries) == 1 else f"{low} to {high} um"
+            where = "" if len(entries) == 1 else f" in {n_decided} of {len(entries)} settings"
+            smaller, same = f"smaller than with {method} by {size}{where}", f"not different from that with {method}"
+            phrases.append(smaller if n_decided else same)
+        return (
+            f"On the same draws, the {self.label} with {self.best_method} is {listing(phrases)} "
+            "(paired differences, 95 %)."
+        )
+
+    def blocks(self) -> list[TableBlock]:
+        """Table of the differences, with the definition of the statistic."""
+        rows = [
+            [setting, f"{method} less {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
+             entry.trials]
+            for method, entries in self.differences.items()
+            for setting, entry in zip(self.settings, entries, strict=True)
+        ]  # fmt: skip
+        declared = find_column(self.statistic)
+        meaning = "" if declared is None else declared.meaning.replace("`", "")
+        label = f"{self.label[0].upper()}{self.label[1:]}"
+        note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
+        table = METHOD_DIFFERENCES_TABLE.with_rows(rows)
+        return table_block(f"Which method is better: {self.label}", table, note=note)
+
+
+def _verdict(entry: PairedDifference) -> str:
+    """Method with the smaller error, if the interval of the difference excludes 0."""
+    better = entry.second if entry.low > 0 else entry.first if entry.high < 0 else ""
+    return f"{better} is better" if better else "not decided"

@@ -1,0 +1,110 @@
+"""New stations after a recording stand on the floor of the hall and see past its bodies, one proposal per place."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.core.errors import SetupError
+from ltsim.planning.proposals import NextMeasurement, ProposalEntry
+from ltsim.planning.result import load_plan_and_scenario
+from ltsim.recordings import Recording
+
+MACHINE = np.array([[3700.0, 2900.0, 0.0], [5300.0, 4100.0, 2200.0]])
+"""Opposite corners of the machine [mm]."""
+HALL = """format = "ltsim-plan/1"
+title = "A hall with a machine"
+
+[workshop]
+size_mm = [9000, 7000, 4000]
+
+[[workshop.obstacles]]
+name = "machine"
+box_mm = [1600, 1200, 2200]
+position_mm = [4500, 3500, 0]
+
+[floor]
+margin_mm = 800
+
+[stations]
+count = 4
+spacing_mm = 800
+min_stations_per_target = 1
+
+""" + "".join(
+    f'[[points]]\nname = "P{i}"\nx_mm = {300 + 2800 * (i % 4)}\ny_mm = {300 + 6400 * (i // 4)}\n'
+    f"z_mm = {700 + 400 * (i % 3)}\n"
+    for i in range(8)
+)
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("hall") / "hall.toml"
+    file.write_text(HALL)
+    return file
+
+
+@pytest.fixture(scope="module")
+def measured(hall: Path) -> Recording:
+    return lt.simulate(load_plan_and_scenario(hall)[1], seed=1).recording
+
+
+def stations_of(found: NextMeasurement) -> list[ProposalEntry]:
+    return [proposal for proposal in found.proposals if proposal.kind == "station"]
+
+
+def is_permitted(place: tuple[float, float, float]) -> bool:
+    inside = np.all((np.array(place) > MACHINE[0]) & (np.array(place) < MACHINE[1]))
+    return bool(not inside and 800 <= place[0] <= 8200 and 800 <= place[1] <= 6200)
+
+
+def is_behind_machine(place: np.ndarray, point: np.ndarray) -> bool:
+    """By sampled points of the line of sight, which the code does not use."""
+    along = place + np.linspace(0, 1, 4001)[:, None] * (point - place)
+    return bool(np.any(np.all((along > MACHINE[0]) & (along < MACHINE[1]), axis=1)))
+
+
+def test_new_stations_meet_the_floor_and_the_sights_of_the_site(hall: Path, measured: Recording) -> None:
+    free, checked = lt.next_measurement(measured), lt.next_measurement(measured, site=hall)
+    assert any(not is_permitted(p.position_mm) for p in stations_of(free))
+    proposals = stations_of(checked)
+    assert proposals and all(is_permitted(p.position_mm) for p in proposals)
+    scenario = load_plan_and_scenario(hall)[1]
+    points = [np.array(target.position_mm) for target in scenario.targets.values()]
+    missing = []
+    for proposal in proposals:
+        n_hidden = sum(is_behind_machine(np.array(proposal.position_mm), point) for point in points)
+        (n_sights,) = re.findall(r"measure the (\d+) targets in sight", proposal.do) or [len(points)]
+        missing.append(len(points) - n_hidden - int(n_sights))
+    # A sight that grazes the machine is counted as blocked, within the tolerance of the tripod's position.
+    assert min(missing) >= 0 and missing.count(0) > len(missing) / 2
+    assert any("targets in sight" in proposal.do for proposal in proposals)
+
+
+def test_one_proposal_per_place(measured: Recording) -> None:
+    places = [proposal.position_mm for proposal in stations_of(lt.next_measurement(measured))]
+    assert len(places) > 10 and len(set(places)) == len(places)
+
+
+def test_the_command_says_what_it_knows_of_the_hall(
+    hall: Path, measured: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lt.write(measured, tmp_path / "rec")
+    assert run(["plan", "--after", str(tmp_path / "rec")]) == 0
+    assert "check each proposed station against the hall, or name its plan with --site." in capsys.readouterr().out
+    assert run(["plan", "--after", str(tmp_path / "rec"), "--site", str(hall)]) == 0
+    assert f"New stations meet the floor, the bodies and the sights of {hall}." in capsys.readouterr().out
+    assert run(["plan", str(hall), "--site", str(hall)]) == 2
+    assert "--site needs --after REC" in capsys.readouterr().err
+
+
+def test_a_recording_without_positions_on_the_floor_plan_is_refused(hall: Path, measured: Recording) -> None:
+    setup = measured.setup.model_copy(update={"stations": {}})
+    with pytest.raises(SetupError, match="position_mm of the stations"):
+        lt.next_measurement(measured.replace(setup=setup), site=hall)
