@@ -220,8 +220,8 @@ def recover(
     Returns
     -------
     Recovery
-        Result with `passed`, `checks` and `failure_sentences()`; `failed_checks()` lists the failed checks. A correct model fails any
-        check in one run of a hundred.
+        Result with `passed`, `checks` and `failure_sentences()`; `failed_checks()` lists the failed checks. A correct
+        model fails any check in one run of a hundred.
 
     Examples
     --------
