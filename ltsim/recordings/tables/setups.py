@@ -17,13 +17,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
+from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
-from ltsim.recordings.tables.orientations import circle_orientations
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
 
 MAX_SAME_PLACE_RATIO = 3e-4
@@ -219,10 +219,7 @@ def split_occupations(
             f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     if orientations is not None:
-        notes.append(
-            f"the circle was set anew between repeated pointings: {len(names)} orientations at {len(occupations)} "
-            "occupations are separate set-ups at the same positions"
-        )
+        notes.append(zeroed_circle_note(len(names), len(occupations)))
     rounds = Counter(key[:2] for key in distinct)
     is_split = turned or orientations is not None
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
