@@ -1,7 +1,7 @@
 """Reader and writer of recordings in any supported format."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -24,6 +24,7 @@ from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import has_clock, is_value
+from ltsim.recordings.tables.station_names import UnnamedStationsError
 
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
@@ -76,6 +77,13 @@ def _is_list_of_points(path: Path, head: str) -> bool:
 def _point_list_error(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, requires_all=False)
     count, repeated = len(listed.names), listed.n_contradictory_rows
+    if repeated:
+        try:
+            tables.read(path, replace(hints, station=None))
+        except UnnamedStationsError:
+            raise
+        except RecordError:
+            pass  # it is no table of several set-ups
     names = "one name" if count == 1 else f"{count} names"
     if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in listed.names):
         message = f"this is a table of {count + repeated} positions without point names: a target that moves (a robot, "

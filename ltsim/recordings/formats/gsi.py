@@ -1,10 +1,10 @@
 """Format: Leica GSI-8 and GSI-16, measurement blocks of theodolites, total stations and older trackers.
 
 A block is a line of words: two digits of index, four of information, sign, 8 or 16 characters of data. Understood
-are point (11), code (41 with the station's name in 42 and the instrument's height in 43, where no block has coordinates of
-the station), angles (21, 22), slope and
-horizontal distance (31, 32), heights of target (87) and instrument (88), station coordinates (84 to 86). The format
-fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit stands in every word.
+are point (11), code (41 with the station's name in 42 and the instrument's height in 43, in files without coordinates
+of stations), angles (21, 22), slope and horizontal distance (31, 32), heights of target (87) and instrument (88),
+station coordinates (84 to 86). The format fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit
+stands in every word.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
@@ -110,6 +111,8 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     ]
     if lines[-1].strip() and blocks[-1].words.keys() != (blocks[-2].words.keys() if len(blocks) > 1 else {}):
         raise blocks[-1].where.error("the last line has no line break and is incomplete")
+    if any(block.has_words("33") for block in blocks) and not any(block.has_words("21") for block in blocks):
+        raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
     code = _setup_code(blocks)
     for block in blocks:
         _process_block(block, file, code)

@@ -101,7 +101,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         elif kind == "09":
             skipped += 1
     if skipped and not book.pointings:
-        message = f"holds {skipped} observations that the instrument corrected or averaged (such as 09MC), and no raw ones"
+        message = (
+            f"holds {skipped} observations that the instrument corrected or averaged (such as 09MC), and no raw ones"
+        )
         raise RecordError(f"{message}; export the readings of each face (09F1, 09F2)", file=path)
     notes = [f"{skipped} observations that the instrument corrected or averaged are not used"] if skipped else []
     return book.make_recording("an SDR file", *notes)

@@ -1,4 +1,4 @@
-"""Meaning of a header: roles of columns from English and German titles, units in brackets, faces by number."""
+"""Meaning of a header: roles of columns from titles in several languages, units in brackets, faces by number."""
 
 import re
 import unicodedata
@@ -10,6 +10,7 @@ from functools import lru_cache
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
 from ltsim.recordings.files import quoted_text
+from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE, FOREIGN_TITLE_WORDS, TITLE_WORDS
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
@@ -24,45 +25,12 @@ SIGMA_ROLES = {
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
 """Role of the column with the standard deviation of another column, by the role of that column."""
-COMMON_SIGMA_ROLE = "sigma_mm"
-"""Role of a column with one standard deviation for all three coordinates."""
-TITLE_WORDS = {
-    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
-    "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
-    "standpunktname from fromstn fromstation frompoint frompointid von instrument tracker stationsname "
-    "setupname setupid setupno setupnr setupnumber occupation occupationid aufstellung besetzung",
-    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno pointnr "
-    "ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation topoint topointid nach "
-    "reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
-    "face": "face f lage kreislage circlelage visierlage",
-    "repeat": "repeat repetition rep wiederholung",
-    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
-    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
-    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
-    "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
-    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
-    "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
-    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
-    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
-    "schraegstrecke strecke distanz raumstrecke distance3d sdist",
-    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
-    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
-    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
-    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
-    COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
-    "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
-    "date": "date datum day tag",
-    "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
-    "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
-    "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
-    "zielpunkthohe reflektorhohe prismenhohe tafelhohe zh",
-    "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
-    "target_setup": "tsetupid targetsetup targetsetupid",
-    "air_temperature_c": "airtemperature airtemp lufttemperatur",
-    "air_pressure_hpa": "airpressure pressure luftdruck",
-    "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
+ROLE_BY_TITLE = {
+    word: role
+    for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
+    for role, text in words.items()
+    for word in text.split()
 }
-ROLE_BY_TITLE = {word: role for role, words in TITLE_WORDS.items() for word in words.split()}
 ROLE_UNITS = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(

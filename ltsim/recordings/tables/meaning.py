@@ -34,7 +34,6 @@ from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
-    COMMON_SIGMA_ROLE,
     COORDINATE_ROLES,
     DISTANCE_ROLES,
     HEIGHT_ROLES,
@@ -44,6 +43,7 @@ from ltsim.recordings.tables.header import (
     TableColumn,
 )
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, apply_exactly, to_floats
+from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360

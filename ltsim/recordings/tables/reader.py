@@ -12,6 +12,7 @@ from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
+from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.settings import read_setup
@@ -134,6 +135,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     require_station_names(table, readings, path)
     if setup is not None:
         recording = assemble_recording(table, meaning, readings, setup, hints, path)
+        if not hints.incomplete_tail:
+            check_centring(recording, _setup_path(path, hints))
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,6 +15,7 @@ from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.advice import unrecognised_header_sentence
+from ltsim.recordings.tables.blocks import TableBlock
 from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
@@ -199,7 +199,6 @@ POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns in a table without header whose lines are names and three numbers."""
 MIN_TITLES = 2
 """Smallest number of columns in a header of readings: two angles, or an angle and a distance."""
-_STATION_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
 def read_pointing_table(
@@ -250,15 +249,18 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
 class _SheetReader:
     """Reader of one sheet.
 
-    Its state is the current header, the station of the last block, and the rows since the header.
+    Its state is the current header, the current block, and the rows since the header.
     """
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
-        self.station = sheet.station or hints.station or ""
+        self.block = TableBlock(sheet.station or hints.station or "")
         self.table = PointingTable([])
         self.parts: list[PrintedPointings] = []
+        self.header: list[TableColumn] = []
+        """Columns of the current header."""
         self.columns: list[TableColumn] = []
+        """Columns of the current header, and of the heights of the block."""
         self.wanted: list[int] = []
         self.headers = 0
         self.run = HeaderRun()
@@ -292,6 +294,8 @@ class _SheetReader:
             raise SourceLocation(self.sheet.file, row).error(
                 f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
+        self.header = columns
+        columns = [*columns, *self.block.height_columns_after(columns)]
         if columns != self.columns:
             self._convert_rows()
         self.table.add_header(columns, self.sheet.file, row)
@@ -311,7 +315,7 @@ class _SheetReader:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert_rows()
-                self.sheet.require_complete_end(len(self.columns), requires_all=self.table.positional)
+                self.sheet.require_complete_end(len(self.header), requires_all=self.table.positional)
                 self._add_pointing(row)
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
@@ -327,23 +331,26 @@ class _SheetReader:
         return False
 
     def _process_other_line(self, row: SheetRow) -> None:
-        """Processing of a line that is no pointing: it names the station of a block, or is ignored."""
-        line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
-        block = _STATION_PATTERN.fullmatch(line) if len(line) <= MAX_TEXT_LENGTH else None
-        if block is not None and title_role(block.group(1)) == "station":
-            self.station = block.group(2)
+        """Processing of a line that is no pointing: it describes a block, or is ignored."""
+        n_heights = len(self.block.height_columns)
+        if self.block.read_line(row):
+            if self.header and len(self.block.height_columns) > n_heights:
+                self._start_header(self.header, row.line)
         elif not row.is_comment:
             self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _add_pointing(self, row: SheetRow) -> None:
         if len(self.run.line) == ROWS_PER_BATCH:
             self._convert_rows()
-        width = len(self.columns)
+        width = len(self.header)
         if len(row.fields) > width and any(row.fields[width:]):
             self._convert_rows()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
             raise SourceLocation(self.sheet.file, row.line).error(message)
-        self.run.add_row(row, self.station)
+        if len(self.columns) > width:
+            heights = [self.block.heights.get(c.role, "") for c in self.columns[width:]]
+            row = row._replace(fields=(*_pad_cells(row.fields, width), *heights))
+        self.run.add_row(row, self.block.station)
 
     def _convert_rows(self) -> None:
         """Conversion of the rows since the last header to columns at once.
