@@ -20,6 +20,7 @@ from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.heights import with_heights_of_setups
 from ltsim.recordings.tables.meaning import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
@@ -163,6 +164,7 @@ def assemble_recording(
     times, started, timed = pointing_times(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
+    covariates, empty_heights = with_heights_of_setups(table, covariates)
     height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
@@ -173,7 +175,8 @@ def assemble_recording(
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
-        labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
+        slope = printed.digits_of_roles(("distance",))
+        labels[KIND_COLUMN] = np.where((printed.numbers["flat"] != b"") & (slope == b""), "horizontal", "").tolist()
     remarks = [
         table.notes,
         interpretation.notes,
@@ -182,6 +185,7 @@ def assemble_recording(
         reduced,
         timed,
         further,
+        empty_heights,
         unused,
         _unread_lines_note(table),
     ]
