@@ -197,9 +197,12 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_point_sigma(self, target: int) -> float:
-        """Standard deviation [m] of the points of a target along one axis."""
+        """Standard deviation [m] of the points of a target along one axis; NaN with fewer than two complete ones."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
-        return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < 2:
+            return float("nan")
+        return float(np.sqrt(np.mean(np.var(points, axis=0, ddof=1))))
 
     def pointing_removal_tests(self) -> tuple[Floats, Ints]:
         """Chi-square decrease (n,) if a pointing is removed, and number of readings (n,) that test it."""

@@ -12,11 +12,9 @@ from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     ANGLE_MARKS,
     COORDINATE_ROLES,
-    READING_ROLES,
-    ROLE_UNITS,
     normalised_title,
-    title_role,
     title_words_and_unit,
+    unknown_unit_sentence,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
@@ -29,8 +27,6 @@ MAX_SAMPLE_CELLS = 100_000
 """Number of cells, from the first rows of a table, that the suggestions are based on."""
 MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
 """Number below which a distance or coordinate without unit is suggested in metres; in millimetres above."""
-ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
-"""Units of minutes and seconds of an angle in columns of their own."""
 ColumnAssignment = Sequence[tuple[str, ...]]
 COLUMNS_QUESTION = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
@@ -47,7 +43,7 @@ def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool
     body = [row.fields for row in sample if row.n_values > 1]
     if not body:
         return "contains no row with two or more numbers, so no pointing"
-    if head is not None and (unit_fault := _unknown_unit(head.fields)):
+    if head is not None and (unit_fault := unknown_unit_sentence(head.fields)):
         return unit_fault
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
@@ -62,17 +58,6 @@ def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool
         return f'{sentence}, or --columns "{advised[-1]}"' if is_ambiguous else sentence
     reason = "no three of them can be two angles and a distance, or coordinates"
     return f"{header} does not define its columns, and {reason}; if they can, define them: {COLUMNS_QUESTION}"
-
-
-def _unknown_unit(titles: Sequence[str]) -> str:
-    """Sentence on the first title of a reading whose unit is not known; empty without one."""
-    for title in titles:
-        name, unit = title_words_and_unit(title)
-        units = ROLE_UNITS.get(title_role(name), ())
-        if title_role(name) in READING_ROLES and unit and unit not in (*units, *ANGLE_PART_UNITS):
-            wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
-            return f"{wrong}; convert it to one of {', '.join(units)}"
-    return ""
 
 
 def _column_reference(place: int, titles: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE, FOREIGN_TITLE_WORDS, TITLE_WORDS
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
@@ -63,6 +63,8 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
 ANGLE_MARKS = ("°", "'", '"')
+ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
+"""Units of minutes and seconds of an angle in columns of their own."""
 PART_ROLE = "part"
 """Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
 _PART_PATTERNS = tuple(
@@ -195,6 +197,26 @@ def _has_role(title: str) -> bool:
 def is_header(columns: Sequence[TableColumn]) -> bool:
     """True for a header: two of direction, vertical angle and distance, or all three coordinates."""
     return _reading_kinds(columns) > 1 or has_named_coordinates(columns)
+
+
+def unknown_unit_sentence(titles: Sequence[str]) -> str:
+    """Sentence on the first title of a reading whose unit is not known; empty without one."""
+    for title in titles:
+        name, unit = title_words_and_unit(title)
+        units = ROLE_UNITS.get(title_role(name), ())
+        if title_role(name) in READING_ROLES and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
+            wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
+            return f"{wrong}; convert it to one of {', '.join(units)}"
+    return ""
+
+
+def require_known_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
+    """Check that no kind of reading is missing because of the unit of its column; raises RecordError."""
+    kinds = {_reading_kind(column.role) for column in columns}
+    others = [c.title for c in columns if not c.role]
+    missing = [title for title in others if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds]
+    if sentence := unknown_unit_sentence(missing):
+        raise location.error(sentence)
 
 
 def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:

@@ -157,7 +157,8 @@ def assemble_recording(
     covariates, labels, further = _additional_columns(table, interpretation)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
-    same_place, rounds = split_occupations(table, readings, turns, is_total_station=is_total_station)
+    has_circle = is_total_station or table.column(("horizontal",)) is not None
+    same_place, rounds = split_occupations(table, readings, turns, has_circle=has_circle)
     upright = is_total_station and table.column(("elevation",)) is None
     setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
     faces, reduced = _pointing_faces(table, readings)
@@ -257,14 +258,14 @@ def _additional_columns(
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
     used_titles = words | {c.title for c in values if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in used_titles else c.title for c in columns}
-    covariates = {names[title]: column for title, column in numeric.items()}
+    covariates = {names[title]: column for title, (column, _) in numeric.items()}
     labels = {
         names[title]: column for title, column in table.pointings.additional_cells.items() if title not in numeric
     }
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
         f"'{quoted_text(c.title)}' is interpreted as {c.role}"
-        + ("" if c.unit else f", in {_column_unit(c, interpretation)} as its reading")
+        + ("" if c.unit else f", in {numeric[c.title][1]}{_unit_reason(c.role, numeric[c.title][1], interpretation)}")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
@@ -276,37 +277,33 @@ def _additional_columns(
     )
 
 
-def _column_unit(column: TableColumn, interpretation: ColumnInterpretation) -> str:
-    return column.unit or interpretation.unit_of(column.role)
+def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
+    """Reason for the unit of a column that states none."""
+    of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
+    return " as its reading" if of_reading else f": {interpretation.length_unit}, as of its reading, is implausible"
 
 
 def _covariate_values(
     column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
-) -> Floats | None:
-    """Numbers of a column in the unit of its role, NaN for an empty cell; None for a text column."""
+) -> tuple[Floats, str] | None:
+    """Numbers of a column in the unit of its role, NaN for an empty cell, and its unit; None for a text column."""
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
-    values = cells.plain_numbers(texts) if not any(pointings.grouping) else None
-    if values is not None:
-        return values * _unit_factor(column, interpretation)
-    numbers = np.full(len(texts), NOT_MEASURED)
-    for i, (text, grouping) in enumerate(zip(texts, pointings.grouping, strict=True)):
-        if text:
-            number = cells.parse_quantity(text, grouping)
-            if number is None:
-                return None
-            numbers[i] = number
-    return numbers * _unit_factor(column, interpretation)
-
-
-def _unit_factor(column: TableColumn, interpretation: ColumnInterpretation) -> float:
-    """Factor from the unit of a column of standard deviations or heights to the unit of its role."""
+    numbers = cells.plain_numbers(texts) if not any(pointings.grouping) else None
+    if numbers is None:
+        numbers = np.full(len(texts), NOT_MEASURED)
+        for i, (text, grouping) in enumerate(zip(texts, pointings.grouping, strict=True)):
+            if text:
+                number = cells.parse_quantity(text, grouping)
+                if number is None:
+                    return None
+                numbers[i] = number
+    unit = column.unit or interpretation.unit_of(column.role, numbers)
     wanted = column.role.rpartition("_")[2]
-    if wanted not in ("mm", "arcsec"):
-        return 1.0
-    unit = _column_unit(column, interpretation)
-    return float(unit_ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
+    if wanted in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
+        numbers = numbers * float(unit_ratio(unit, wanted))
+    return numbers, unit
 
 
 def _unread_lines_note(table: PointingTable) -> list[str]:

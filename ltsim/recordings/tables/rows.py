@@ -22,6 +22,7 @@ from ltsim.recordings.tables.header import (
     is_header,
     mapped_columns,
     parse_assignments,
+    require_known_units,
     title_role,
     title_words_and_unit,
 )
@@ -148,6 +149,8 @@ class _SheetReader:
             raise SourceLocation(self.sheet.file, row).error(
                 f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
+        if self.hints.columns is None:
+            require_known_units(columns, SourceLocation(self.sheet.file, row))
         self.header = columns
         columns = [*columns, *self.block.height_columns_after(columns)]
         if columns != self.columns:

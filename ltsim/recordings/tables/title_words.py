@@ -19,7 +19,7 @@ TITLE_WORDS = {
     "repeat": "repeat repetition rep wiederholung",
     "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
     "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
-    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
+    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
     "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
     "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
