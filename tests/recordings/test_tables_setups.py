@@ -179,8 +179,8 @@ def test_a_column_that_separates_the_set_ups_is_suggested_as_the_station(tmp_pat
 def test_another_height_of_the_instrument_is_another_occupation(tmp_path: Path) -> None:
     def table(heights: list[str]) -> Recording:
         rows = [
-            f"{mark},P{k},{40 * k + 7 * i}.5,{99 + k}.25,1{k}.1234,{height},0.1"
-            for i, (mark, height) in enumerate(zip("ABA", heights, strict=True))
+            f"{mark},P{k},{40 * k + 7 * (mark == 'B')}.5,{99 + k}.25,1{k}.1234,{height},0.1"
+            for mark, height in zip("ABA", heights, strict=True)
             for k in range(4)
         ]
         file = tmp_path / "a.csv"
