@@ -20,7 +20,7 @@ from ltsim.adjustment.reference_tests import (
 )
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
-from ltsim.adjustment.snooping import drop_undetermined, is_copied_row, screen_gross_errors, snoop_readings
+from ltsim.adjustment.snooping import drop_undetermined, screen_gross_errors, snoop_readings, without_copied_rows
 from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, estimate_variance_components
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
@@ -109,9 +109,8 @@ def adjust(
         When `datum` names a target that does not exist, or too few.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
-    built, copied = construction or ideal_construction(), is_copied_row(recording)
-    if copied.any():
-        recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
+    built = construction or ideal_construction()
+    recording, n_copied_rows = without_copied_rows(recording)
     _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     needs_start = start_state is None
@@ -152,7 +151,7 @@ def adjust(
         )
     unconnected = tuple(recording.targets[i] for i in np.flatnonzero(lost))
     gross &= ~problem.used_readings.any(axis=1)
-    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, duplicate_rows=int(copied.sum()))
+    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, duplicate_rows=n_copied_rows)
     return _transform_to_datum(adjustment, datum)
 
 

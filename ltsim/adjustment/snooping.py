@@ -52,7 +52,15 @@ MAX_PREDICTION_SIGMA = 100.0
 as undetermined."""
 
 
-def is_copied_row(recording: Recording) -> Bools:
+def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
+    """Recording that uses copied rows once: the readings of the others are missing. With the number of the latter."""
+    is_copied = _is_copied_row(recording)
+    if not is_copied.any():
+        return recording, 0
+    return recording.with_readings(np.where(is_copied[:, None], np.nan, recording.readings)), int(is_copied.sum())
+
+
+def _is_copied_row(recording: Recording) -> Bools:
     """Flags (n,) of the rows that equal an earlier one of the same time, set-up, target and face in every digit.
 
     Without a clock two pointings may be equal by chance: rows are then copies only if all repeated pointings are equal

@@ -7,6 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.identification.selection import identify_causes
 from ltsim.adjustment.quality import MAX_CURVATURE, adjustment_warnings, pose_curvatures
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.errors import LtsimError, NetworkError
@@ -139,6 +140,15 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
     assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
     assert not copied.is_rejected.any()
+
+
+def test_copies_of_rows_are_no_cause() -> None:
+    once = noisy()
+    rows = np.repeat(np.arange(len(once)), 3)
+    alone, copied = identify_causes(once), identify_causes(once.select(rows))
+    assert alone is not None and copied is not None
+    assert copied.fit.hypotheses == alone.fit.hypotheses == ()
+    assert copied.fit.problem.dof == alone.fit.problem.dof
 
 
 def test_readings_that_repeat_by_chance_are_no_copies() -> None:

@@ -320,6 +320,7 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
+    monkeypatch.setattr("ltsim.adjustment.identification.selection.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.repeat(np.arange(len(recording)), 3))
     with pytest.raises(
@@ -327,6 +328,7 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     ):
         lt.adjust(whole)
     monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 200)
+    monkeypatch.setattr("ltsim.adjustment.identification.selection.MAX_ADJUSTED_POINTINGS", 200)
     with pytest.raises(
         NetworkError, match=r"holds 420 pointings; an adjustment takes at most 200: convert it .*every 3"
     ):

@@ -27,6 +27,7 @@ from ltsim.adjustment.identification.library import convention_corrections, coor
 from ltsim.adjustment.identification.screen import screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
@@ -189,6 +190,7 @@ def identify_causes(
     NetworkError where it holds too many pointings.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
+    recording, _ = without_copied_rows(recording)
     try:
         return select_causes(FitInput(recording, construction or declared_construction(recording), prior))
     except LtsimError:

@@ -270,6 +270,12 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if hypothesis.targets:
         what = f"The reflector on {hypothesis.targets[0]} is displaced at random at each set-up"
         return f"{what}, by {size} along each axis: check its centring."
+    if not hypothesis.stations:
+        return (
+            f"Repeated pointings of a target from one set-up share errors of {size} along each axis: "
+            "the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
+            "The repeats are not independent."
+        )
     at = hypothesis.stations[0]
     common = common_displacement(fit, hypothesis)
     if common is None:

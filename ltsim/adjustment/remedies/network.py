@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -62,15 +61,18 @@ class PlannedNetwork:
             prior,
         )
 
-    @cached_property
-    def adjustment(self) -> Adjustment:
-        """Adjustment of this network; raises NetworkError for an undetermined pose."""
+    def make_adjustment(self) -> Adjustment:
+        """Adjustment of this network; raises NetworkError for an undetermined pose.
+
+        It is not kept: proposals hold their networks, and the adjustments of all take 8 MB each in a large network.
+        """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
-        problem = self.adjustment.problem
-        return self.adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
+        adjustment = self.make_adjustment()
+        problem = adjustment.problem
+        return adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:

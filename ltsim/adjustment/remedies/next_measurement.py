@@ -7,7 +7,7 @@ difference is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -162,15 +162,16 @@ class MeasurementProposal(ValueEquality):
 
     @classmethod
     def from_remedy(
-        cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None
+        cls,
+        remedy: Remedy,
+        present_adjustment: Adjustment,
+        adjustment: Adjustment,
+        evidence: dict[str, float] | None = None,
     ) -> MeasurementProposal:
-        """Proposal from a remedy's gain for the first instrument of a planned network.
-
-        Gain 1 for one without parameters.
-        """
+        """Proposal of a remedy; `adjustment` is the one with it. Gain 1 for an instrument without parameters."""
         if not adjustment.construction.n_parameters:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
-        before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
+        before, after = present_adjustment.instrument_covariance, adjustment.instrument_covariance
         sigma_gain = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best_index = int(np.argmin(ratio))
@@ -261,11 +262,10 @@ def rank_next_measurements(
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
     candidates = *pointing_remedies(network), *return_remedies(network, move), *station_remedies(network, move)
-    remedies = [remedy for remedy in candidates if remedy.is_determined]
     proposals = []
-    for done, remedy in enumerate(remedies, 1):
-        proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment))
-        progress("trying further measurements", done / len(remedies))
+    for done, proposal in enumerate(_proposals_of(candidates, network.make_adjustment()), 1):
+        proposals.append(proposal)
+        progress("trying further measurements", done / len(candidates))
     return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sigma_ratio)))
 
 
@@ -284,7 +284,8 @@ def rank_deciding_measurements(
     in the model. With `stops_at_first` the search ends at the first remedy that decides.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
-    space = residual_space_of(network.adjustment, extra_effects)
+    planned_adjustment = network.make_adjustment()
+    space = residual_space_of(planned_adjustment, extra_effects)
     rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
     decided_names = [name for name, pair in rivals.items() if pair.present_evidence >= MIN_DECISIVE_CHI2]
     if len(decided_names) < len(rivals):
@@ -298,10 +299,13 @@ def rank_deciding_measurements(
     every = chain(
         nearby_remedies, repeat_remedies, _most_informative_stations(network, seconds_per_move), costly_remedies
     )
-    for remedy in (candidate for candidate in every if candidate.is_determined):
-        longer = residual_space_of(remedy.network.adjustment, extra_effects)
+    for remedy in every:
+        longer_adjustment = remedy.make_adjustment()
+        if longer_adjustment is None:
+            continue
+        longer = residual_space_of(longer_adjustment, extra_effects)
         evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
-        proposals.append(MeasurementProposal.from_remedy(remedy, network.adjustment, evidence))
+        proposals.append(MeasurementProposal.from_remedy(remedy, planned_adjustment, longer_adjustment, evidence))
         progress("weighing the explanations", min(len(proposals) / total, 1.0))
         if stops_at_first and proposals[-1].distinguishes_all:
             break
@@ -311,13 +315,20 @@ def rank_deciding_measurements(
     )
 
 
+def _proposals_of(remedies: Iterable[Remedy], present_adjustment: Adjustment) -> Iterator[MeasurementProposal]:
+    """Proposals of the remedies that determine every pose."""
+    for remedy in remedies:
+        adjustment = remedy.make_adjustment()
+        if adjustment is not None:
+            yield MeasurementProposal.from_remedy(remedy, present_adjustment, adjustment)
+
+
 def _effort_rank(remedy: Remedy) -> tuple[int, float]:
     return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
 
 
 def _most_informative_stations(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
     """Additional stations with most information on the instrument, the quickest first."""
-    remedies = (remedy for remedy in station_remedies(network, seconds_per_move) if remedy.is_determined)
-    proposals = [MeasurementProposal.from_remedy(remedy, network.adjustment) for remedy in remedies]
+    proposals = _proposals_of(station_remedies(network, seconds_per_move), network.make_adjustment())
     best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
     yield from sorted((p.remedy for p in best), key=_effort_rank)

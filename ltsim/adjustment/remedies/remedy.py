@@ -12,6 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -115,17 +116,15 @@ class Remedy:
     network: PlannedNetwork
     """Network with the proposed measurement, with predicted readings."""
 
-    @property
-    def is_determined(self) -> bool:
-        """True if every pose is determined with the proposed measurement.
+    def make_adjustment(self) -> Adjustment | None:
+        """Adjustment with the proposed measurement; None if it leaves a pose undetermined.
 
         An additional set-up may see too few targets.
         """
         try:
-            _ = self.network.adjustment
+            return self.network.make_adjustment()
         except NetworkError:
-            return False
-        return True
+            return None
 
     @property
     def added_setup_on_plan(self) -> tuple[Floats, float] | None:

@@ -202,10 +202,10 @@ def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_riv
     space = residual_space_of(adjustment)
     explanations = [best_explanation(space, name) for name in ("index-drift", "station-settling")]
     rivals = RivalExplanations.from_explanations(
-        residual_space_of(PlannedNetwork.from_adjustment(adjustment).adjustment), *explanations
+        residual_space_of(PlannedNetwork.from_adjustment(adjustment).make_adjustment()), *explanations
     )
     for remedy in list(pointing_remedies(PlannedNetwork.from_adjustment(adjustment)))[:3]:
-        longer = residual_space_of(remedy.network.adjustment)
+        longer = residual_space_of(remedy.network.make_adjustment())
         told, whole = (
             rivals.expected_evidence(longer),
             RivalExplanations.from_explanations(longer, *explanations).present_evidence,
