@@ -169,6 +169,7 @@ def assemble_recording(
     height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
+        empty_heights = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
