@@ -26,7 +26,15 @@ MAX_LOG_EVIDENCE_GAIN = 1e30
 """Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
 MIN_LOG_EVIDENCE_CERTAIN = 7.0
 """Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
-SHARED_CAUSE_KINDS = ("constant-offset", "scale-error", "orientation", "reflector-radius", "centring")
+SHARED_CAUSE_KINDS = (
+    "constant-offset",
+    "constant-step",
+    "constant-drift",
+    "scale-error",
+    "orientation",
+    "reflector-radius",
+    "centring",
+)
 """Kinds of causes that all readings of one observable, or of one set-up, share."""
 MAX_REFERENCE_MISCLOSURE = 0.1
 """Misclosure of a reference value [m] above which a network that uses it may not converge."""

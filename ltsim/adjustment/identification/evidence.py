@@ -69,6 +69,8 @@ def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
 PRIOR_FRACTION_BY_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
+    "constant-step": 0.03,
+    "constant-drift": 0.03,
     "scale-error": 0.05,
     "target-moved": 0.1,
     "station-bump": 0.1,

@@ -13,6 +13,8 @@ from ltsim.recordings.centring_errors import CentringUncertainty
 CauseKind = Literal[
     "outlier",
     "constant-offset",
+    "constant-step",
+    "constant-drift",
     "scale-error",
     "target-moved",
     "station-bump",

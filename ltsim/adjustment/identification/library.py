@@ -110,7 +110,8 @@ class ShiftFamily:
             return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
             return SmrOffset(stations, targets)
-        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time)
+        is_drift = self.kind == "constant-drift"
+        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time, is_drift=is_drift)
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
@@ -122,6 +123,13 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     if stations:
         yield ShiftFamily("constant-offset", "distance", "station", distance)
         yield ShiftFamily("constant-offset", "elevation", "station", elevation)
+        for observable, offset in (
+            ("distance", distance),
+            ("elevation", elevation),
+        ):  # an azimuth: a station that turns
+            yield ShiftFamily("constant-step", observable, "station", offset, first_onset=MIN_POINTINGS_AROUND_MOTION)
+            drift = ReadingShift(observable, is_drift=True).design(sightings)
+            yield ShiftFamily("constant-drift", observable, "station", drift)
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily("target-moved", "position", "target", sightings.target_derivatives, first_onset=1)

@@ -1,4 +1,4 @@
-"""Signatures of simple causes: offset or scale error of one observable, at a station or target, from a time on."""
+"""Signatures of simple causes: offset, drift or scale error of one observable, at a station or target."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,10 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset or scale error of the readings of one observable.
+    """Offset, drift or scale error of the readings of one observable.
 
-    An elevation offset is the vertical index, equal on both faces.
+    An elevation offset is the vertical index, equal on both faces. A drift grows evenly during the visit of a station,
+    from zero; its parameter is the shift at the last pointing.
 
     Attributes
     ----------
@@ -28,6 +29,8 @@ class ReadingShift(Signature):
         First time [s] of shifted readings.
     size_factor : float
         Largest plausible size, in units of the usual size.
+    is_drift : bool
+        True if the shift grows with the time since the first pointing of the station.
     """
 
     observable: str
@@ -36,11 +39,12 @@ class ReadingShift(Signature):
     targets: tuple[str, ...] = ()
     onset_time: float = -np.inf
     size_factor: float = 1.0
+    is_drift: bool = False
 
     @property
     def name(self) -> str:
-        """`scale-error` or `constant-offset`."""
-        return "scale-error" if self.is_proportional else "constant-offset"
+        """`scale-error`, `constant-drift` or `constant-offset`."""
+        return "scale-error" if self.is_proportional else "constant-drift" if self.is_drift else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -59,6 +63,8 @@ class ReadingShift(Signature):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        if self.is_drift:
+            acts = acts * sightings.elapsed_visit_fraction
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
