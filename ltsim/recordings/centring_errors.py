@@ -31,11 +31,11 @@ class CentringUncertainty(TomlSection):
 
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
         """The same errors for a part of the stations and targets; None if they concern none of them."""
-        kept = {
+        names_by_key = {
             key: tuple(name for name in chosen if name in names)
             for key, chosen, names in self._names(stations, targets)
         }
-        return self.model_copy(update=kept) if all(kept.values()) else None
+        return self.model_copy(update=names_by_key) if all(names_by_key.values()) else None
 
     def unknown_names(
         self, stations: Sequence[str], targets: Sequence[str]

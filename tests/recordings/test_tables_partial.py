@@ -88,3 +88,19 @@ def test_a_sheet_of_coordinates_beside_readings(tmp_path: Path) -> None:
     recording = read(tmp_path / "a.xlsx")
     assert recording.stations == ("A", "B")
     assert "the coordinates of 'Stations' are not used" in said(recording)
+
+
+@pytest.mark.parametrize("title", ["Z [gon]", "Z"])
+def test_z_beside_a_direction_and_a_distance_is_an_angle(tmp_path: Path, title: str) -> None:
+    recording = read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("V [gon]", title))
+    np.testing.assert_allclose(np.degrees(recording.readings[:, 2]) / 0.9, [1.5, -1.5, -1.5, 2.5])
+
+
+def test_heights_with_units_in_their_cells(tmp_path: Path) -> None:
+    rows = [[*row[:6], f"{row[6]} m", f"{1e3 * float(row[7]):.0f} mm"] for row in ROWS]
+    recording = read_rows(tmp_path / "a.csv", rows)
+    np.testing.assert_allclose(recording.covariates["instrument_height_mm"], [1683, 1683, 1548, 1548])
+    np.testing.assert_allclose(recording.covariates["target_height_mm"], [1500, 1600, 1500, 1600])
+    rows[2][6] = "1.548 ft"
+    with pytest.raises(RecordError, match=r"column IH: found '1.683 m', expected a height, with the same unit"):
+        read_rows(tmp_path / "a.csv", rows)

@@ -116,6 +116,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     Coordinates in a table of polar readings are further columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
+    roles = {c.role for c in candidates}
+    if _reading_kinds(candidates) == 2 and not roles & {*VERTICAL_ROLES, "x", "y"}:  # Z beside Hz and D is no height
+        candidates = [replace(c, role="vertical") if c.role == "z" and not c.unit else c for c in candidates]
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     polar = _reading_kinds(candidates) > 1
     words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
@@ -204,13 +207,14 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
     for title in titles:
         name, unit = title_words_and_unit(title)
         units = ROLE_UNITS.get(title_role(name), ())
-        if title_role(name) in READING_ROLES and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
+        is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
+        if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
             wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
             return f"{wrong}; convert it to one of {', '.join(units)}"
     return ""
 
 
-def require_known_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
+def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
     """Check that no kind of reading is missing because of the unit of its column; raises RecordError."""
     kinds = {_reading_kind(column.role) for column in columns}
     others = [c.title for c in columns if not c.role]
@@ -264,7 +268,8 @@ def _column_from_title(place: int, title: str, *, has_face: bool = True) -> Tabl
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
     if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
         # surveyors' lists have heights in a column called elevation
-        role, face = ("z" if role == "elevation" and unit in LENGTH_UNITS else ""), 0
+        is_zenith = name == "z" and unit in ANGLE_UNITS
+        role, face = "zenith" if is_zenith else "z" if role == "elevation" and unit in LENGTH_UNITS else "", 0
     return TableColumn(place, title, role, unit, face)
 
 

@@ -291,16 +291,20 @@ def _covariate_values(
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
-    numbers = cells.plain_numbers(texts) if not any(pointings.grouping) else None
+    bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
+    numbers = cells.plain_numbers(bare_texts) if not any(pointings.grouping) else None
     if numbers is None:
         numbers = np.full(len(texts), NOT_MEASURED)
-        for i, (text, grouping) in enumerate(zip(texts, pointings.grouping, strict=True)):
-            if text:
+        for i, (text, grouping) in enumerate(zip(bare_texts, pointings.grouping, strict=True)):
+            if text and text not in cells.MISSING_MARKS:
                 number = cells.parse_quantity(text, grouping)
+                if number is None and column.role in HEIGHT_COLUMNS:
+                    message = f"found '{quoted_text(texts[i])}', expected a height, with the same unit in all cells"
+                    raise pointings.source_location(i).error(message, quoted_text(column.title))
                 if number is None:
                     return None
                 numbers[i] = number
-    unit = column.unit or interpretation.unit_of(column.role, numbers)
+    unit = cell_unit or column.unit or interpretation.unit_of(column.role, numbers)
     wanted = column.role.rpartition("_")[2]
     if wanted in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
         numbers = numbers * float(unit_ratio(unit, wanted))

@@ -22,7 +22,7 @@ from ltsim.recordings.tables.header import (
     is_header,
     mapped_columns,
     parse_assignments,
-    require_known_units,
+    require_readable_units,
     title_role,
     title_words_and_unit,
 )
@@ -150,7 +150,7 @@ class _SheetReader:
                 f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
         if self.hints.columns is None:
-            require_known_units(columns, SourceLocation(self.sheet.file, row))
+            require_readable_units(columns, SourceLocation(self.sheet.file, row))
         self.header = columns
         columns = [*columns, *self.block.height_columns_after(columns)]
         if columns != self.columns:
